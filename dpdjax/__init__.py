@@ -1,0 +1,47 @@
+"""dpdjax: differentiable, vectorised dissipative particle dynamics on JAX.
+
+``import dpdjax as dpd`` is quick: every public name is imported when it is first used.
+"""
+
+import importlib
+
+_HOMES = {
+    "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag"],
+    "dpdjax.model.term": ["Term", "term"],
+    "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid"],
+    "dpdjax.model.units": ["Units", "water", "water_units"],
+    "dpdjax.engine.box": ["Box", "displacement"],
+    "dpdjax.engine.flow": ["shear", "body_force", "sinusoidal_force", "constant_field"],
+    "dpdjax.engine.state": ["State", "initial_state", "grow", "suggest_dt", "suggest_skin"],
+    "dpdjax.engine.record": ["mean", "integral"],
+    "dpdjax.engine.simulate": ["Plan", "Trajectory", "simulate"],
+    "dpdjax.measure.observables": [
+        "configurational_temperature", "instantaneous_viscosity", "momentum", "positions", "pressure_by_origin",
+        "pressure_tensor", "standard", "stresses", "temperature", "total_pressure",
+    ],
+    "dpdjax.measure.statistics": ["Estimate", "block_average"],
+    "dpdjax.measure.structure": ["radial_distribution"],
+    "dpdjax.measure.transport": ["diffusion", "mean_squared_displacement", "velocity_autocorrelation"],
+    "dpdjax.measure.viscosity": [
+        "einstein_helfand", "green_kubo", "shear_viscosity", "sinusoidal_viscosity", "extrapolate",
+    ],
+    "dpdjax.calibrate.calibrate": ["Calibration", "calibrate"],
+    "dpdjax.run": ["run"],
+    "dpdjax.io": ["load_state", "save_state"],
+    "dpdjax.plot": ["plot_box", "plot_calibration"],
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+__all__ = sorted(_HOME_OF)
+__version__ = "0.1.0"
+
+
+def __getattr__(name):
+    if name not in _HOME_OF:
+        raise AttributeError(f"dpdjax has no {name!r}")
+    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return __all__

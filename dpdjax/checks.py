@@ -1,0 +1,53 @@
+"""Small helpers for arguments: make a number an array, and know whether its value can be read."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def is_concrete(*values) -> bool:
+    """True unless a value is being traced by jit, vmap or grad."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+
+
+def number(value, name: str):
+    """``value`` as a float array of the default precision.
+
+    Raises TypeError where it is not a number, ValueError where it is not finite.
+    """
+    try:
+        array = jnp.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} is {value!r}; a number or an array of numbers is wanted") from error
+    if is_concrete(array) and not np.all(np.isfinite(np.asarray(array))):
+        raise ValueError(f"{name} is {value}; it must be finite")
+    return array
+
+
+def positive(value, name: str, cure: str = ""):
+    """:func:`number`, and above zero."""
+    array = number(value, name)
+    if is_concrete(array) and not np.all(np.asarray(array) > 0):
+        raise ValueError(f"{name} is {value}; it must be above zero{'; ' + cure if cure else ''}")
+    return array
+
+
+def not_negative(value, name: str):
+    """:func:`number`, and zero or above."""
+    array = number(value, name)
+    if is_concrete(array) and not np.all(np.asarray(array) >= 0):
+        raise ValueError(f"{name} is {value}; it must not be negative")
+    return array
+
+
+def prng_key(key):
+    """``key`` as a typed PRNG key; raises TypeError with the cure where it is none."""
+    if key is None:
+        raise TypeError("no key: every random number needs one; give key=jax.random.key(0)")
+    if isinstance(key, (int, np.integer)):
+        raise TypeError(f"key is the integer {key}; give jax.random.key({key})")
+    if jnp.issubdtype(getattr(key, "dtype", None), jax.dtypes.prng_key):
+        return key
+    if getattr(key, "dtype", None) == jnp.uint32:
+        return jax.random.wrap_key_data(key)
+    raise TypeError(f"key is {key!r}; give jax.random.key(0)")

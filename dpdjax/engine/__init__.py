@@ -1,0 +1,1 @@
+"""How the matter moves: box, flow, noise, neighbours, state, forces, step, simulate."""

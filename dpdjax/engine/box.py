@@ -1,0 +1,97 @@
+"""The periodic box, and its Lees-Edwards deformation.
+
+Positions are Cartesian and wrapped; the lattice is ``Lx e_x``, ``strain Ly e_x + Ly e_y``,
+``Lz e_z``, with ``strain Ly`` kept within half a side of zero.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import positive
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Box:
+    """A periodic box under shear.
+
+    Attributes:
+        lengths: sides, shape (3,) [length].
+        strain: shear displacement of the upper y-image over Ly, modulo Lx/Ly.
+    """
+
+    lengths: Any
+    strain: Any
+
+    @property
+    def volume(self):
+        return self.lengths[0] * self.lengths[1] * self.lengths[2]
+
+    def strained(self, increment) -> "Box":
+        """The box after a further shear strain."""
+        period = self.lengths[0] / self.lengths[1]
+        strain = self.strain + increment
+        return Box(self.lengths, strain - period * jnp.round(strain / period))
+
+
+def box(lengths) -> Box:
+    """An unstrained box; ``lengths`` is one side or three [length]."""
+    lengths = positive(lengths, "box")
+    if lengths.shape not in ((), (3,)):
+        raise ValueError(f"box has shape {lengths.shape}; give one side or three")
+    return Box(jnp.broadcast_to(lengths, (3,)), jnp.zeros((), lengths.dtype))
+
+
+def minimum_image(box: Box, dx, dy, dz):
+    """The nearest image of separations given by component, each of one shape.
+
+    Right for the separations that matter, those below half the shortest side.
+    Rounding instead of a modulus: it vectorises, and its derivative is zero.
+    """
+    lx, ly, lz = box.lengths
+    rows = jnp.round(dy / ly)
+    dx = dx - rows * (box.strain * ly)
+    return dx - lx * jnp.round(dx / lx), dy - ly * rows, dz - lz * jnp.round(dz / lz)
+
+
+def displacement(box: Box, ra, rb):
+    """Nearest-image separation ``ra - rb`` of Cartesian positions (..., 3) [length]."""
+    d = ra - rb
+    return jnp.stack(minimum_image(box, d[..., 0], d[..., 1], d[..., 2]), axis=-1)
+
+
+def wrap(box: Box, position):
+    """Positions inside the box and how many sides each was carried over, (n, 3) int32."""
+    lx, ly, lz = box.lengths
+    x, y, z = position[:, 0], position[:, 1], position[:, 2]
+    rows = jnp.floor(y / ly)
+    x = x - rows * (box.strain * ly)
+    columns, layers = jnp.floor(x / lx), jnp.floor(z / lz)
+    wrapped = jnp.stack([x - lx * columns, y - ly * rows, z - lz * layers], axis=1)
+    return wrapped, jnp.stack([columns, rows, layers], axis=1).astype(jnp.int32)
+
+
+def fractional(box: Box, position):
+    """Coordinates in [0, 1) along the lattice vectors, shape (n, 3)."""
+    lx, ly, lz = box.lengths
+    s_y = position[:, 1] / ly
+    s_x = (position[:, 0] - box.strain * position[:, 1]) / lx
+    s = jnp.stack([s_x, s_y, position[:, 2] / lz], axis=1)
+    return s - jnp.floor(s)
+
+
+def matrix(box: Box):
+    """The lattice as columns of an upper triangular matrix, as ``jax_md.space`` takes it."""
+    lx, ly, lz = box.lengths
+    return jnp.diag(box.lengths).at[0, 1].set(box.strain * ly)
+
+
+def narrowest(lengths, sheared: bool) -> np.ndarray:
+    """Smallest distances between opposite faces over all strains, shape (3,) [length]."""
+    lx, ly, lz = np.asarray(lengths, float)
+    tilt = 0.5 * lx / ly if sheared else 0.0
+    return np.array([lx / np.hypot(1.0, tilt), ly, lz])

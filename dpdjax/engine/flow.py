@@ -1,0 +1,98 @@
+"""Flows: what drives the fluid from outside. Their numbers are leaves."""
+
+import dataclasses
+from typing import Any, Callable
+
+import jax
+import jax.numpy as jnp
+
+from dpdjax.checks import number
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Quiet:
+    """No flow."""
+
+    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
+    sheared: bool = dataclasses.field(default=False, metadata={"static": True})
+
+    def force(self, state, mass):
+        return None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Shear:
+    """Steady homogeneous shear ``u_x = rate y`` by Lees-Edwards boundaries."""
+
+    rate: Any
+    sheared: bool = dataclasses.field(default=True, metadata={"static": True})
+
+    def force(self, state, mass):
+        return None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BodyForce:
+    """A force on every bead, ``field(position, time, **numbers)``; see :func:`body_force`."""
+
+    field: Callable = dataclasses.field(metadata={"static": True})
+    numbers: dict[str, Any]
+    balance: bool = dataclasses.field(default=True, metadata={"static": True})
+    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
+    sheared: bool = dataclasses.field(default=False, metadata={"static": True})
+
+    def force(self, state, mass):
+        """Force on each bead (n, 3), less its mean acceleration where balanced."""
+        f = self.field(state.position, state.time, **self.numbers)
+        f = jnp.broadcast_to(f, state.position.shape).astype(state.position.dtype)
+        if self.balance:
+            f = f - mass * (jnp.sum(f, axis=0) / jnp.sum(mass))
+        return f
+
+
+def quiet() -> Quiet:
+    """No flow: a fluid in equilibrium."""
+    return Quiet()
+
+
+def shear(rate) -> Shear:
+    """Steady shear ``u_x = rate y`` [1/time] under Lees-Edwards boundaries.
+
+    Velocities in the state are peculiar: relative to the streaming velocity.
+    """
+    return Shear(number(rate, "rate"))
+
+
+def body_force(field: Callable, *, balance: bool = True, **numbers) -> BodyForce:
+    """A one-body force field, any small pure function.
+
+    Args:
+        field: ``field(position, time, **numbers) -> force``, with positions (n, 3)
+            [length] and a result that broadcasts to (n, 3) [force].
+        balance: take the net force away each step, as one acceleration common to all
+            beads. Without it a periodic box accelerates for ever.
+        **numbers: the field's numbers (leaves).
+    """
+    return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance)
+
+
+def sine_field(position, time, *, amplitude, wavenumber):
+    """``amplitude sin(wavenumber y)`` along x, for :func:`sinusoidal_force`."""
+    fx = amplitude * jnp.sin(wavenumber * position[:, 1])
+    return jnp.stack([fx, jnp.zeros_like(fx), jnp.zeros_like(fx)], axis=1)
+
+
+def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
+    """``amplitude sin(k y)`` along x on each bead, with ``waves`` periods in ``side``.
+
+    Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``.
+    """
+    return body_force(sine_field, amplitude=amplitude, wavenumber=2 * jnp.pi * waves / side)
+
+
+def constant_field(position, time, *, acceleration):
+    """The same force on every bead."""
+    return jnp.broadcast_to(acceleration, position.shape)

@@ -1,0 +1,129 @@
+"""The force pass: every pair of a list once, every law once, both beads at the end."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dpdjax.engine import box as boxes
+from dpdjax.engine import noise
+from dpdjax.engine.state import Tally
+from dpdjax.model.fluid import Fluid, Interaction
+
+
+class Pairs(NamedTuple):
+    """The geometry of a list of pairs, by component; every entry has shape (pairs,)."""
+
+    i: jax.Array
+    j: jax.Array
+    real: jax.Array
+    r: jax.Array
+    e: tuple
+    v: jax.Array
+    si: jax.Array
+    sj: jax.Array
+
+
+def pair_geometry(box, position, velocity, species, idx, rate) -> Pairs:
+    """Distance, direction and approach velocity of each pair.
+
+    The lab velocities of two beads differ by their peculiar velocities and by
+    ``rate y_ij`` of the nearest image, which is the jump across the y-boundary too.
+    """
+    n = position.shape[0]
+    real = idx[0] < n
+    i, j = jnp.minimum(idx[0], n - 1), jnp.minimum(idx[1], n - 1)
+    dx, dy, dz = boxes.minimum_image(box, *(position[i, k] - position[j, k] for k in range(3)))
+    square = dx * dx + dy * dy + dz * dz
+    real &= square > 0
+    # Padded slots are pairs of a bead with itself: keep zero out of the root and its derivative.
+    inverse = jax.lax.rsqrt(jnp.where(real, square, 1.0))
+    e = (dx * inverse, dy * inverse, dz * inverse)
+    v = e[0] * (velocity[i, 0] - velocity[j, 0] + rate * dy)
+    v += e[1] * (velocity[i, 1] - velocity[j, 1]) + e[2] * (velocity[i, 2] - velocity[j, 2])
+    r = jnp.where(real, square * inverse, jnp.inf)
+    return Pairs(idx[0], idx[1], real, r, e, v, species[i], species[j])
+
+
+def evaluate(terms, pairs: Pairs, derivative: bool):
+    """Sum over terms of the law, or of (law, -d law/dr), zero beyond each reach."""
+    zero = jnp.zeros_like(pairs.v)
+    value, force = zero, zero
+    for t in terms:
+        coefficients, reach = t.between(lambda c: c if jnp.ndim(c) == 0 else c[pairs.si, pairs.sj])
+        inside = pairs.r < reach
+        # Laws see only gaps at which they are meant to be evaluated: NaN times zero is NaN.
+        h = jnp.where(inside, pairs.r, 0.5 * reach)
+        law = lambda h: t.law(h, **coefficients)
+        if derivative:
+            u, slope = jax.jvp(law, (h,), (jnp.ones_like(h),))
+            value, force = value + jnp.where(inside, u, 0.0), force - jnp.where(inside, slope, 0.0)
+        else:
+            value = value + jnp.where(inside, law(h), 0.0)
+    return (value, force) if derivative else value
+
+
+def safe_sqrt(x):
+    """Square root with derivative 0 at 0, where the plain one has none."""
+    above = x > 0
+    return jnp.where(above, jnp.sqrt(jnp.where(above, x, 1.0)), 0.0)
+
+
+def pair_forces(interaction: Interaction, kT, pairs: Pairs, ids, words, dt):
+    """Energy and the conservative, drag and random force of each pair along ``e``.
+
+    The random force follows from the *sum* of the frictions, so fluctuation and
+    dissipation balance for any drag law (Espanol & Warren 1995, eq. 8).
+    """
+    energy, conservative = evaluate(interaction.conservative, pairs, derivative=True)
+    zeta = evaluate(interaction.drag, pairs, derivative=False)
+    n = ids.shape[0]
+    i, j = jnp.minimum(pairs.i, n - 1), jnp.minimum(pairs.j, n - 1)
+    xi = noise.pair_noise(words, ids[i], ids[j], pairs.v.dtype.type)
+    return energy, conservative, -zeta * pairs.v, safe_sqrt(2.0 * kT * zeta / dt) * xi
+
+
+def interaction_force(interaction, kT, pairs: Pairs, ids, words, dt, tally: bool):
+    """Force on each bead (n, 3), and the sums over pairs where asked for."""
+    energy, conservative, drag, random = pair_forces(interaction, kT, pairs, ids, words, dt)
+    total = conservative + drag + random
+    force = sum_onto_beads(pairs, total, ids.shape[0])
+    return force, sum_pairs(pairs, energy, conservative, drag, random) if tally else None
+
+
+def sum_onto_beads(pairs: Pairs, along, n: int):
+    """``along`` e on bead i and its opposite on bead j of every pair; (n, 3)."""
+    # By component: XLA evaluates the laws again for every scatter of rows (2.5 times slower).
+    f = [along * e for e in pairs.e]
+    return jnp.stack([jax.ops.segment_sum(x, pairs.i, n) - jax.ops.segment_sum(x, pairs.j, n) for x in f], axis=1)
+
+
+def sum_pairs(pairs: Pairs, energy, conservative, drag, random) -> Tally:
+    """Energy and the virials ``sum r_ij F_ij`` of a list."""
+    r = jnp.where(pairs.real, pairs.r, 0.0)
+    virials = [virial(pairs.e, r * f) for f in (conservative, drag, random)]
+    return Tally(jnp.sum(energy), *virials)
+
+
+def virial(e, weight):
+    """``sum weight e e`` as a symmetric (3, 3) matrix."""
+    xx, xy, xz = (jnp.sum(weight * e[0] * e[k]) for k in range(3))
+    yy, yz = (jnp.sum(weight * e[1] * e[k]) for k in (1, 2))
+    zz = jnp.sum(weight * e[2] * e[2])
+    return jnp.stack([jnp.stack([xx, xy, xz]), jnp.stack([xy, yy, yz]), jnp.stack([xz, yz, zz])])
+
+
+def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False):
+    """Total pair force on each bead (n, 3) at ``state.position`` and ``velocity``.
+
+    Noise is that of ``state.step``. Returns (force, Tally or None).
+    """
+    force, sums = jnp.zeros_like(state.position), Tally.zero(state.position.dtype)
+    for channel, (interaction, neighbours) in enumerate(zip(fluid.interactions, state.neighbours)):
+        idx = neighbours.list.idx
+        pairs = pair_geometry(state.box, state.position, velocity, state.species, idx, rate)
+        words = noise.step_words(key, state.step, channel)
+        f, t = interaction_force(interaction, fluid.kT, pairs, state.id, words, dt, tally)
+        force = force + f
+        sums = sums + t if tally else None
+    return force, sums

@@ -1,0 +1,284 @@
+"""Half lists of neighbours in jax-md's own type, built from sorted cells.
+
+Beads are sorted by cell, x fastest, so the half stencil of a bead is five contiguous
+ranges: the rest of its own row to ``x + 1``, and three cells each of four rows further
+up. A window of slots is tested per range; the verdicts are packed into 32-bit words, and
+each slot of the list finds its word from prefix sums of the popcounts and its bit inside
+the word by binary search. Nothing is scattered, and the shapes are static.
+
+The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format, under its
+``allocate``/``update`` protocol with the box passed at every update.
+"""
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.engine import box as boxes
+from dpdjax.engine.batching import any_in_batch
+
+# Rows of the half stencil as (dy, dz); the first is the bead's own row.
+ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]])
+WORD = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """The static part of a list.
+
+    Attributes:
+        reach: largest distance at which the laws act [length].
+        skin: added to the reach; a list lasts while beads move less than half of it.
+        cells: cells along each side, or None to test all pairs (small boxes).
+        window: slots tested per range of the stencil, a multiple of 32.
+        capacity: pairs the list holds.
+    """
+
+    reach: float
+    skin: float
+    cells: tuple[int, int, int] | None
+    window: int
+    capacity: int
+
+    def grown(self, pairs: bool, windows: bool) -> "Grid":
+        """A grid with half as much again of what overflowed."""
+        return dataclasses.replace(
+            self,
+            capacity=_round_up(int(1.5 * self.capacity), 256) if pairs else self.capacity,
+            window=self.window + WORD if windows else self.window,
+        )
+
+
+def plan_grid(n: int, lengths, reach: float, skin: float, sheared: bool = True) -> Grid:
+    """A grid for ``n`` beads spread evenly; clustered beads make it grow later.
+
+    Raises ValueError where a side is below ``2 (reach + skin)``: the nearest image
+    would not be the only one.
+    """
+    lengths = np.asarray(lengths, float)
+    cut = reach + skin
+    if np.any(boxes.narrowest(lengths, sheared) < 2 * cut * (1 - 1e-6)) :
+        raise ValueError(
+            f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * cut:.4g}"
+            f"{' (a tilted side counts 0.89)' if sheared else ''}; use a side of at least "
+            f"{2 * cut * (np.hypot(1, 0.5) if sheared else 1):.4g} or a smaller skin"
+        )
+    density = n / lengths.prod()
+    pairs = 0.5 * n * density * (4 / 3) * math.pi * cut**3
+    capacity = min(_round_up(int(1.1 * pairs + 6 * math.sqrt(pairs)) + 64, 256), max(n * (n - 1) // 2, 1))
+    cells = np.floor(boxes.narrowest(lengths, sheared) / cut * (1 + 1e-6)).astype(int)
+    if np.any(cells < 3) or n < 200:
+        return Grid(reach, skin, None, 0, capacity)
+    # More cells than one for every two beads cost more to index than they save.
+    most = max(3, int(np.cbrt(n / 2)) + 1)
+    cells = np.minimum(cells, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))).astype(int)
+    per_range = 3 * n / cells.prod()
+    window = _round_up(int(per_range + 4 * math.sqrt(per_range)), WORD)
+    return Grid(reach, skin, tuple(int(c) for c in cells), window, capacity)
+
+
+def _round_up(value: int, unit: int) -> int:
+    return -(-value // unit) * unit
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Neighbours:
+    """One list, and the strain it was built at.
+
+    Attributes:
+        list: a ``jax_md.partition.NeighborList``; ``list.idx`` is (2, capacity), padded
+            with the number of beads.
+        strain: box strain at the build.
+        grid: static shape of the list.
+    """
+
+    list: object
+    strain: object
+    grid: Grid = dataclasses.field(metadata={"static": True})
+
+
+def allocate(grid: Grid, box: boxes.Box, position) -> Neighbours:
+    """A fresh list of the pairs within ``reach + skin``. jit and vmap safe."""
+    from jax_md import partition
+
+    idx, overflow = build_pairs(grid, box, position)
+    error = partition.PartitionError(jnp.zeros((), jnp.uint8))
+    error = error.update(partition.PEC.NEIGHBOR_LIST_OVERFLOW, overflow[0])
+    error = error.update(partition.PEC.CELL_LIST_OVERFLOW, overflow[1])
+    neighbour_list = partition.NeighborList(
+        idx, position, error, grid.window, grid.capacity, partition.OrderedSparse,
+        grid.reach + grid.skin, None, updater(grid),
+    )
+    return Neighbours(neighbour_list, box.strain, grid)
+
+
+@functools.lru_cache(maxsize=None)
+def updater(grid: Grid):
+    """The list's ``update_fn``; one object per grid, so that jit does not recompile."""
+
+    def update_fn(position, neighbour_list, box):
+        from jax_md import partition
+
+        del partition
+        return update(Neighbours(neighbour_list, box.strain, grid), box, position).list
+
+    return update_fn
+
+
+def is_stale(neighbours: Neighbours, box: boxes.Box, position):
+    """Whether a pair inside the reach may be missing from the list.
+
+    Twice the largest non-affine displacement since the build, plus what the strain
+    since then adds to a pair at the reach, against the skin.
+    """
+    grid, reference = neighbours.grid, neighbours.list.reference_position
+    period = box.lengths[0] / box.lengths[1]
+    strain = box.strain - neighbours.strain
+    strain = strain - period * jnp.round(strain / period)
+    affine = strain * reference[:, 1]
+    d = position - reference
+    dx, dy, dz = boxes.minimum_image(box, d[:, 0] - affine, d[:, 1], d[:, 2])
+    moved = jnp.sqrt(jnp.max(dx * dx + dy * dy + dz * dz))
+    return 2.0 * moved + jnp.abs(strain) * (grid.reach + grid.skin) > grid.skin
+
+
+def update(neighbours: Neighbours, box: boxes.Box, position) -> Neighbours:
+    """The list, rebuilt if it is stale.
+
+    In a batch all members build together as soon as one must, but each that need not
+    keeps its old list, so a member never depends on its companions.
+    """
+    position, box = jax.lax.stop_gradient((position, box))
+    stale = is_stale(neighbours, box, position)
+
+    def rebuild(old):
+        new = allocate(old.grid, box, position)
+        code = old.list.error.code | new.list.error.code
+        new = dataclasses.replace(new, list=_with_error(new.list, code))
+        return jax.tree.map(lambda a, b: jnp.where(stale, a, b), new, old)
+
+    return jax.lax.cond(any_in_batch(stale), rebuild, lambda old: old, neighbours)
+
+
+def _with_error(neighbour_list, code):
+    return dataclasses.replace(neighbour_list, error=dataclasses.replace(neighbour_list.error, code=code))
+
+
+def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:
+    """The same pairs in the same order in a list of larger capacity."""
+    n = neighbours.list.reference_position.shape[-2]
+    idx = neighbours.list.idx
+    width = [(0, 0)] * (idx.ndim - 1) + [(0, grid.capacity - idx.shape[-1])]
+    padded = dataclasses.replace(
+        neighbours.list,
+        idx=jnp.pad(idx, width, constant_values=n),
+        error=jax.tree.map(jnp.zeros_like, neighbours.list.error),
+        cell_list_capacity=grid.window,
+        max_occupancy=grid.capacity,
+        update_fn=updater(grid),
+    )
+    return Neighbours(padded, neighbours.strain, grid)
+
+
+def build_pairs(grid: Grid, box: boxes.Box, position):
+    """All pairs within ``reach + skin``: indices (2, capacity), and (pairs, windows) overflow."""
+    if grid.cells is None:
+        return _all_pairs(grid, box, position)
+    return _cell_pairs(grid, box, position)
+
+
+def _all_pairs(grid, box, position):
+    n = position.shape[0]
+    i, j = np.triu_indices(n, 1)
+    d = boxes.displacement(box, position[i], position[j])
+    near = jnp.sum(d * d, axis=1) < (grid.reach + grid.skin) ** 2
+    words = jnp.pad(near, (0, -near.size % WORD)).reshape(-1, WORD)
+    word, bit, filled, total = _set_bits(_pack(words), grid.capacity)
+    pair = jnp.minimum(word * WORD + bit, i.size - 1)
+    idx = jnp.where(filled, jnp.stack([jnp.asarray(i)[pair], jnp.asarray(j)[pair]]), n)
+    return idx.astype(jnp.int32), (total > grid.capacity, jnp.asarray(False))
+
+
+def _cell_pairs(grid, box, position):
+    n = position.shape[0]
+    cells = np.array(grid.cells)
+    cell = jnp.minimum((boxes.fractional(box, position) * cells).astype(jnp.int32), cells - 1)
+    flat = (cell[:, 2] * cells[1] + cell[:, 1]) * cells[0] + cell[:, 0]
+    order = jnp.argsort(flat).astype(jnp.int32)
+    flat, cell = flat[order], cell[order]
+    first = jnp.searchsorted(flat, jnp.arange(cells.prod() + 1, dtype=flat.dtype), method="sort").astype(jnp.int32)
+    start, length, row_start, row_end = _ranges(cells, cell, first)
+
+    x, y, z = (position[order, k] for k in range(3))
+    slot = start[..., None] + jnp.arange(grid.window, dtype=jnp.int32)
+    slot = jnp.where(slot >= row_end[..., None], slot - (row_end - row_start)[..., None], slot)
+    here = (slice(None), None, None)
+    dx, dy, dz = boxes.minimum_image(box, x[slot] - x[here], y[slot] - y[here], z[slot] - z[here])
+    near = dx * dx + dy * dy + dz * dz < (grid.reach + grid.skin) ** 2
+    near &= jnp.arange(grid.window) < length[..., None]
+
+    word, bit, filled, total = _set_bits(_pack(near.reshape(-1, WORD)), grid.capacity)
+    window_words = grid.window // WORD
+    entry, part = word // window_words, word % window_words
+    bead, row = entry // len(ROWS), entry % len(ROWS)
+    partner = start[bead, row] + part * WORD + bit
+    partner = jnp.where(partner >= row_end[bead, row], partner - (row_end - row_start)[bead, row], partner)
+    a, b = order[bead], order[jnp.clip(partner, 0, n - 1)]
+    idx = jnp.where(filled, jnp.stack([jnp.minimum(a, b), jnp.maximum(a, b)]), n)
+    return idx, (total > grid.capacity, jnp.any(length > grid.window))
+
+
+def _ranges(cells, cell, first):
+    """Start and length of each bead's five ranges of slots, and the rows they wrap in; (n, 5) each.
+
+    Four ranges span the cells x - 1 to x + 1 of a row above; the fifth, in the bead's own
+    row, runs from the next slot to the end of x + 1. ``first`` is the first slot of each cell.
+    """
+    nx, ny, nz = (int(c) for c in cells)
+    y = (cell[:, 1, None] + ROWS[:, 0]) % ny
+    z = (cell[:, 2, None] + ROWS[:, 1]) % nz
+    row = (z * ny + y) * nx
+    row_start, row_end = first[row], first[row + nx]
+    x = cell[:, 0, None]
+    left, right = row + (x - 1) % nx, row + (x + 1) % nx
+    occupancy = first[1:] - first[:-1]
+    after = jnp.arange(1, cell.shape[0] + 1, dtype=jnp.int32)[:, None]
+    own = np.array([True, False, False, False, False])
+    start = jnp.where(own, after, first[left])
+    length = occupancy[right] + jnp.where(own, first[row + x + 1] - after, occupancy[row + x] + occupancy[left])
+    return jnp.where(start >= row_end, row_start, start), length, row_start, row_end
+
+
+def _pack(bits):
+    """(m, 32) booleans as m words of 32 bits."""
+    return jnp.sum(bits.astype(jnp.uint32) << jnp.arange(WORD, dtype=jnp.uint32), axis=1, dtype=jnp.uint32)
+
+
+def _set_bits(words, capacity):
+    """Word and bit of each of the first ``capacity`` set bits, whether there is one, and how many in all."""
+    counts = jax.lax.population_count(words).astype(jnp.int32)
+    ends = jnp.cumsum(counts)
+    begins = ends - counts
+    # Mark where each non-empty word begins in the output, and carry its index forward.
+    target = jnp.where(counts > 0, begins, capacity)
+    marks = jnp.zeros(capacity, jnp.int32).at[target].max(jnp.arange(words.size, dtype=jnp.int32), mode="drop")
+    word = jax.lax.cummax(marks)
+    rank = jnp.arange(capacity, dtype=jnp.int32) - begins[word]
+    return word, _select_bit(words[word], rank), jnp.arange(capacity) < ends[-1], ends[-1]
+
+
+def _select_bit(word, rank):
+    """Position of the set bit of ``word`` that has ``rank`` set bits below it."""
+    position = jnp.zeros_like(rank)
+    for width in (16, 8, 4, 2, 1):
+        low = (word >> position.astype(jnp.uint32)) & jnp.uint32((1 << width) - 1)
+        below = jax.lax.population_count(low).astype(jnp.int32)
+        above = rank >= below
+        rank = jnp.where(above, rank - below, rank)
+        position = jnp.where(above, position + width, position)
+    return position

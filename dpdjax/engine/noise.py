@@ -1,0 +1,40 @@
+"""Pair noise: a function of (key, step, {i, j}) and of nothing else.
+
+Two lists that hold the same pair give it the same number, whatever its slot; so an
+overflow can be replayed, a restart is exact, and the order of the beads is free.
+"""
+
+import jax
+import jax.numpy as jnp
+
+PAIR_DOMAIN = 1
+"""Folded into the key before the step: ``split(key)[i]`` equals ``fold_in(key, i)``."""
+
+
+def step_words(key, step, channel: int = 0):
+    """Two uint32 words for one step and one interaction, from JAX's own generator."""
+    for word in (PAIR_DOMAIN, channel, step):
+        key = jax.random.fold_in(key, word)
+    return jax.random.bits(key, (2,), jnp.uint32)
+
+
+def mix(x):
+    """A bijection of uint32 with good avalanche (constants of Ettinger's ``triple32``)."""
+    x = (x ^ (x >> 17)) * jnp.uint32(0xED5AD4BB)
+    x = (x ^ (x >> 11)) * jnp.uint32(0xAC4C1B51)
+    x = (x ^ (x >> 15)) * jnp.uint32(0x31848BAB)
+    return x ^ (x >> 14)
+
+
+def pair_noise(words, i, j, dtype):
+    """One number of mean 0 and variance 1 per unordered pair of ids, uniform.
+
+    Uniform noise has the same weak order as Gaussian (Dunweg & Paul 1991). The 23
+    top bits are centred, so that the mean is zero to the last bit.
+    """
+    low = jnp.minimum(i, j).astype(jnp.uint32)
+    high = jnp.maximum(i, j).astype(jnp.uint32)
+    x = mix(low ^ words[0])
+    x = mix(x + high * jnp.uint32(0x9E3779B9) + words[1])
+    centred = (x >> 9).astype(dtype) + dtype(0.5 - 2.0**22)
+    return centred * dtype(12.0**0.5 * 2.0**-23)

@@ -1,0 +1,59 @@
+"""What a run keeps of each frame: a value at its end, or a mean or integral over it."""
+
+import dataclasses
+from typing import Callable
+
+import jax
+import jax.numpy as jnp
+
+
+@dataclasses.dataclass(frozen=True)
+class Recorder:
+    """An observable, and whether it is sampled, averaged or integrated over a frame."""
+
+    observe: Callable
+    how: str = "last"
+
+    @property
+    def accumulates(self) -> bool:
+        return self.how != "last"
+
+    def zero(self, fluid, state):
+        """An empty sum, of the shape the observable has."""
+        if not self.accumulates:
+            return ()
+        shapes = jax.eval_shape(self.observe, fluid, state)
+        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+    def add(self, total, fluid, state):
+        return jax.tree.map(jnp.add, total, self.observe(fluid, state)) if self.accumulates else ()
+
+    def value(self, fluid, state, total, dt, every):
+        if self.how == "mean":
+            return jax.tree.map(lambda t: t / every, total)
+        if self.how == "integral":
+            return jax.tree.map(lambda t: t * dt, total)
+        return self.observe(fluid, state)
+
+
+def mean(observe: Callable) -> Recorder:
+    """Record the mean of an observable over every step of a frame's interval."""
+    return Recorder(observe, "mean")
+
+
+def integral(observe: Callable) -> Recorder:
+    """Record the time integral of an observable over every step of a frame's interval."""
+    return Recorder(observe, "integral")
+
+
+def recorders(observe) -> list[Recorder]:
+    """One observable, recorder or a sequence of either, as a list of recorders."""
+    if observe is None:
+        from dpdjax.measure.observables import standard
+
+        observe = standard
+    many = observe if isinstance(observe, (list, tuple)) else [observe]
+    for one in many:
+        if not callable(one) and not isinstance(one, Recorder):
+            raise TypeError(f"observe is {one!r}; give a function observe(fluid, state) -> dict, or a list of them")
+    return [one if isinstance(one, Recorder) else Recorder(one) for one in many]

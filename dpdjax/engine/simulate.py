@@ -1,0 +1,187 @@
+"""The pure door: a whole run as one function that jit, vmap and grad go through."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete, number, positive, prng_key
+from dpdjax.engine import status as bits
+from dpdjax.engine import flow as flows
+from dpdjax.engine.record import Recorder, recorders
+from dpdjax.engine.state import State
+from dpdjax.engine.step import started, step
+from dpdjax.model.fluid import Fluid
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How much to run and how much to keep (static).
+
+    Attributes:
+        frames: recorded frames.
+        every: steps between two frames.
+    """
+
+    frames: int
+    every: int = 1
+
+    def __post_init__(self):
+        for name in ("frames", "every"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or int(value) != value or value < 1:
+                raise ValueError(f"Plan {name} is {value!r}; it must be a whole number of at least 1")
+            object.__setattr__(self, name, int(value))
+
+    @property
+    def steps(self) -> int:
+        return self.frames * self.every
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """What a run leaves behind.
+
+    Attributes:
+        final: the state after the last step.
+        frames: recorded values by name, each with a leading axis of frames; always with
+            ``time`` and ``step``. A batched run has the batch in front of the frames.
+        fluid, flow, dt: what was run, for the measurements that need it.
+        every: steps between two frames (static).
+        complete: whether all planned frames are there (static).
+    """
+
+    final: State
+    frames: dict[str, Any]
+    fluid: Fluid
+    flow: Any
+    dt: Any
+    every: int = dataclasses.field(default=1, metadata={"static": True})
+    complete: bool = dataclasses.field(default=True, metadata={"static": True})
+
+    @property
+    def interval(self):
+        """Time between two frames."""
+        return self.dt * self.every
+
+
+def simulate(
+    fluid: Fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, remat: bool = False
+) -> Trajectory:
+    """Run ``plan.steps`` steps: pure, so ``jax.jit``, ``vmap``, ``jvp`` and ``grad`` all work.
+
+    Args:
+        fluid, state: what, and from where. The lists in the state keep their capacity.
+        key: PRNG key; the noise of step s is a function of (key, s), s counted absolutely.
+        dt: time step [time].
+        plan: frames, and steps between two.
+        flow: ``dpd.shear(rate)``, ``dpd.body_force(...)`` or None.
+        observe: what to record: a function ``observe(fluid, state) -> dict``, or a list of
+            such, each possibly wrapped in ``dpd.mean`` or ``dpd.integral``.
+        lam: weight of the predicted velocity.
+        remat: in reverse mode keep only the state of each frame and recompute the steps
+            between; memory is then least for ``every`` near ``sqrt(steps)``.
+
+    A run that fails (overflow, NaN) has ``final.status`` set and NaN in every number and
+    every gradient; ``dpd.run`` repairs overflows instead.
+    """
+    check_run(fluid, state, key, dt, flow)
+    trajectory = advance(fluid, state, prng_key(key), dt, plan, flow, observe, lam, remat)
+    return bits.poison(trajectory, trajectory.final.status)
+
+
+def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) -> Trajectory:
+    """:func:`simulate` without checks and without the poison."""
+    flow = flows.quiet() if flow is None else flow
+    dtype = state.position.dtype
+    dt, lam = jnp.asarray(dt, dtype), jnp.asarray(lam, dtype)
+    how = recorders(observe)
+    # Interval records need the pair sums of every step; instantaneous ones of the last step only.
+    each = any(r.accumulates for r in how)
+
+    def one(state, tally):
+        return step(fluid, state, key, dt, flow, lam, tally)
+
+    def frame(state, _):
+        state, sums = run_interval(state, one, plan.every, how, fluid, each)
+        values = {"step": state.step, "time": state.time}
+        for r, s in zip(how, sums):
+            values |= r.value(fluid, state, s, dt, plan.every)
+        broken = ~jnp.all(jnp.isfinite(state.velocity))
+        return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
+
+    state = started(fluid, state, key, dt, flow)
+    state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
+    final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
+    final = dataclasses.replace(final, status=final.status | list_trouble(fluid, final))
+    return Trajectory(final, frames, fluid, flow, dt, plan.every)
+
+
+def run_interval(state, one, every, how: list[Recorder], fluid, each: bool):
+    """``every`` steps, the last with its pair sums, and the sums of what accumulates."""
+    zeros = [r.zero(fluid, state) for r in how]
+
+    def body(carry, _):
+        state, sums = carry
+        state = one(state, each)
+        return (state, [r.add(s, fluid, state) for r, s in zip(how, sums)]), None
+
+    (state, sums), _ = jax.lax.scan(body, (state, zeros), length=every - 1)
+    state = one(state, True)
+    return state, [r.add(s, fluid, state) for r, s in zip(how, sums)]
+
+
+def list_trouble(fluid, state):
+    """Bits for lists that overflowed, that are too short for the laws, or too wide for the box."""
+    trouble = jnp.zeros((), jnp.uint32)
+    for interaction, neighbours in zip(fluid.interactions, state.neighbours):
+        code = neighbours.list.error.code
+        grid = neighbours.grid
+        trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag((code & 2) > 0, bits.WINDOW_OVERFLOW)
+        reach = jnp.stack([jnp.max(t.reach) for t in interaction.terms])
+        trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
+        sides = state.box.lengths
+        trouble |= bits.flag(jnp.any(sides < 2 * (grid.reach + grid.skin) * (1 - 1e-5)), bits.BOX_TOO_SMALL)
+        if grid.cells is not None:
+            least = jnp.asarray(grid.cells, sides.dtype) * (grid.reach + grid.skin) * (1 - 1e-5)
+            trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
+    return trouble
+
+
+def check_run(fluid, state, key, dt, flow):
+    """Errors that can be told before the work starts, each with the value and the cure."""
+    if not isinstance(fluid, Fluid):
+        raise TypeError(f"fluid is a {type(fluid).__name__}; build one with dpd.fluid(...)")
+    if not isinstance(state, State):
+        raise TypeError(f"state is a {type(state).__name__}; build one with dpd.initial_state(...)")
+    prng_key(key)
+    positive(dt, "dt")
+    shape = jnp.shape(state.position)
+    if len(shape) != 2 or shape[1] != 3 or jnp.shape(state.velocity) != shape:
+        raise ValueError(
+            f"positions {shape} and velocities {jnp.shape(state.velocity)} must both be (beads, 3); "
+            "for a batch use jax.vmap, or dpd.run with a vector of keys"
+        )
+    if len(state.neighbours) != len(fluid.interactions):
+        raise ValueError(f"{len(state.neighbours)} lists for {len(fluid.interactions)} interactions: make the state with this fluid")
+    check_dt(fluid, state, dt)
+
+
+def check_dt(fluid, state, dt):
+    """Refuse a time step at which the drag of a bead would overshoot (dt omega above 1)."""
+    from dpdjax.engine.state import damping_rate, suggest_dt
+
+    if not is_concrete(fluid, dt, state.box.lengths):
+        return
+    fluid = jax.tree.map(np.max, fluid)
+    density = state.n / float(np.prod(np.asarray(state.box.lengths)))
+    fluid = dataclasses.replace(fluid, mass=np.asarray(fluid.mass)[None])
+    worst = float(np.max(dt)) * damping_rate(fluid, density)
+    if worst > 0.5:
+        raise ValueError(
+            f"dt {float(np.max(dt)):.4g} is too large for the drag: dt x damping rate is {worst:.3g}, at most 0.5 is "
+            f"stable; use dt = {suggest_dt(fluid, density):.2g} (temperature error 0.5 %) "
+        )

@@ -1,0 +1,274 @@
+"""The state of a run: where the beads are, and all that a bitwise restart needs."""
+
+import dataclasses
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete, number, positive, prng_key
+from dpdjax.engine import box as boxes
+from dpdjax.engine import neighbours as lists
+from dpdjax.model.fluid import Fluid
+
+POSITION_DOMAIN, VELOCITY_DOMAIN = 2, 3
+"""Folded into the user's key, so that one key serves start and noise."""
+
+REBUILD_COST = 5.0
+"""One rebuild in units of one force pass (measured: tests/benchmarks)."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """Sums over pairs from the last force pass that was asked for them.
+
+    Attributes:
+        energy: potential energy [energy].
+        conservative, drag, random: sum of ``r_ij F_ij`` by origin, (3, 3) [energy].
+    """
+
+    energy: Any
+    conservative: Any
+    drag: Any
+    random: Any
+
+    @classmethod
+    def zero(cls, dtype) -> "Tally":
+        square = jnp.zeros((3, 3), dtype)
+        return cls(jnp.zeros((), dtype), square, square, square)
+
+    def __add__(self, other: "Tally") -> "Tally":
+        return jax.tree.map(jnp.add, self, other)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class State:
+    """One configuration of n beads.
+
+    Attributes:
+        position: wrapped Cartesian positions (n, 3) [length].
+        velocity: peculiar velocities, the streaming velocity taken off, (n, 3).
+        force: force of the last step, on which the next half kick depends, (n, 3).
+        image: how many sides each bead was carried over since the start, (n, 3) int32.
+        id: what the noise of a bead is keyed by, (n,) int32; travels with the bead.
+        species: index into the tables of the fluid, (n,) int32.
+        box: lengths and strain.
+        step: absolute number of the step, which keys the noise.
+        time: elapsed time, which body forces may depend on.
+        neighbours: one list for each interaction.
+        tally: sums over pairs, for the observables.
+        started: whether ``force`` is known; if not, a run computes it first.
+        status: sticky bits (``dpdjax.engine.status``).
+    """
+
+    position: Any
+    velocity: Any
+    force: Any
+    image: Any
+    id: Any
+    species: Any
+    box: boxes.Box
+    step: Any
+    time: Any
+    neighbours: tuple[lists.Neighbours, ...]
+    tally: Tally
+    started: Any
+    status: Any
+
+    @property
+    def n(self) -> int:
+        """Number of beads."""
+        return self.position.shape[-2]
+
+    @property
+    def unwrapped(self):
+        """Positions followed through the periodic images (n, 3) [length]; without shear."""
+        return self.position + self.image * self.box.lengths[..., None, :]
+
+    def restarted(self) -> "State":
+        """The same beads with the force forgotten: the next run computes it from its own fluid."""
+        return dataclasses.replace(self, started=jnp.zeros_like(self.started))
+
+
+def initial_state(
+    fluid: Fluid,
+    key,
+    *,
+    box,
+    density=None,
+    n=None,
+    start: str = "random",
+    fractions=None,
+    skin: float | None = None,
+    dt: float | None = None,
+    sheared: bool = True,
+) -> State:
+    """Beads in a box, with Maxwell velocities of zero total momentum.
+
+    Args:
+        fluid: what the beads are.
+        key: a PRNG key; the same one may drive the run.
+        box: one side or three [length].
+        density: beads per volume; or give ``n``.
+        n: number of beads, instead of the density or as one count per species.
+        start: ``"random"`` or ``"lattice"`` (simple cubic, filled evenly).
+        fractions: share of each species, equal by default.
+        skin: margin of the neighbour lists [length]; by default the cheapest for ``dt``.
+        dt: time step the skin is chosen for; by default :func:`suggest_dt`.
+        sheared: leave room in the lists for a tilted box.
+
+    Returns a :class:`State`; works under ``vmap`` over ``key`` and over ``fluid``.
+
+    Raises:
+        ValueError: a box below ``2 (reach + skin)``, density x volume below 2, counts
+            and box that disagree.
+        TypeError: no key.
+    """
+    key = prng_key(key)
+    box = boxes.box(box)
+    if not is_concrete(box):
+        raise ValueError("the box of initial_state must be known when tracing: build the state outside jit")
+    counts = _counts(fluid, np.asarray(box.lengths, float), density, n, fractions)
+    total = sum(counts)
+    species = jnp.asarray(np.repeat(np.arange(len(counts)), counts), jnp.int32)
+    position = _positions(start, key, box, total)
+    velocity = _velocities(key, fluid.mass[species], fluid.kT)
+    if skin is None:
+        skin = suggest_skin(fluid, suggest_dt(fluid, total / float(np.prod(box.lengths))) if dt is None else dt)
+    grids = [
+        lists.plan_grid(total, np.asarray(box.lengths), interaction.reach, _number(skin), sheared)
+        for interaction in jax.tree.map(_concrete, fluid.interactions)
+    ]
+    return assemble(box, position, velocity, species, grids)
+
+
+def assemble(box: boxes.Box, position, velocity, species, grids) -> State:
+    """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,)."""
+    n = position.shape[0]
+    position, _ = boxes.wrap(box, position)
+    integers = jnp.zeros((), jnp.int32)
+    return State(
+        position=position,
+        velocity=velocity,
+        force=jnp.zeros_like(position),
+        image=jnp.zeros((n, 3), jnp.int32),
+        id=jnp.arange(n, dtype=jnp.int32),
+        species=species,
+        box=box,
+        step=integers,
+        time=jnp.zeros((), position.dtype),
+        neighbours=tuple(lists.allocate(grid, box, position) for grid in grids),
+        tally=Tally.zero(position.dtype),
+        started=jnp.asarray(False),
+        status=jnp.zeros((), jnp.uint32),
+    )
+
+
+def grow(state: State, pairs: bool = True, windows: bool = True) -> State:
+    """The same state with larger lists; the lists keep their pairs in order."""
+    grids = [neighbours.grid.grown(pairs, windows) for neighbours in state.neighbours]
+    padded = tuple(lists.pad(neighbours, grid) for neighbours, grid in zip(state.neighbours, grids))
+    return dataclasses.replace(state, neighbours=padded, status=jnp.zeros_like(state.status))
+
+
+def suggest_dt(fluid: Fluid, density: float) -> float:
+    """The time step that keeps the temperature error of velocity-Verlet below 0.5 %.
+
+    The error is about 0.7 omega dt, with omega the velocity damping rate
+    ``density [zeta] / 3 m`` of an unstructured fluid; it is smaller in a structured
+    one. Never above a hundredth of the thermal time ``r_c sqrt(m / kT)``.
+    """
+    numbers = jax.tree.map(_concrete, fluid)
+    mass, kT = float(np.min(numbers.mass)), float(numbers.kT)
+    rate = max(damping_rate(numbers, density), 1e-12)
+    reach = min(float(np.min(np.asarray(t.reach))) for i in numbers.interactions for t in i.terms)
+    return min(0.005 / (0.7 * rate), 0.01 * reach * math.sqrt(mass / max(kT, 1e-12)))
+
+
+def damping_rate(fluid: Fluid, density: float) -> float:
+    """Rate at which drag damps a velocity, ``density / 3 m`` times the volume integral of zeta [1/time]."""
+    total = 0.0
+    for interaction in fluid.interactions:
+        for t in interaction.drag:
+            coefficients, reach = t.between(np.max)
+            r = (np.arange(400) + 0.5) / 400 * float(reach)
+            zeta = np.asarray(t.law(jnp.asarray(r), **coefficients))
+            total += float(np.sum(4 * np.pi * r**2 * zeta)) * float(reach) / 400
+    return density * total / 3.0 / float(np.min(fluid.mass))
+
+
+def suggest_skin(fluid: Fluid, dt) -> float:
+    """The skin that costs least: wide lists hold more pairs, narrow ones are built more often."""
+    numbers = jax.tree.map(_concrete, fluid)
+    reach = min(interaction.reach for interaction in numbers.interactions)
+    fastest = 4.5 * math.sqrt(float(numbers.kT) / float(np.min(numbers.mass)))
+    skins = np.linspace(0.04, 0.6, 57) * reach
+    cost = (1 + skins / reach) ** 3 * (1 + REBUILD_COST * 2 * fastest * _number(dt) / skins)
+    return float(np.round(skins[np.argmin(cost)], 3))
+
+
+def _number(value) -> float:
+    return float(_concrete(value))
+
+
+def _concrete(value):
+    """The largest value of a number that is scanned over, when the scan itself is not traced."""
+    if not is_concrete(value):
+        raise ValueError(
+            "initial_state needs plain numbers to lay out its lists: build the state with one "
+            "fluid outside vmap or grad, then scan or differentiate the run"
+        )
+    return np.asarray(value)
+
+
+def _counts(fluid, lengths, density, n, fractions):
+    if (density is None) == (n is None):
+        raise ValueError("give either density=... or n=... (beads in all, or one count per species)")
+    if n is not None and np.ndim(n) == 1:
+        counts = [int(c) for c in n]
+    else:
+        total = int(round(float(positive(density, "density")) * lengths.prod())) if n is None else int(n)
+        counts = _shares(total, fluid.species, fractions)
+    if len(counts) != fluid.species:
+        raise ValueError(f"{len(counts)} counts for a fluid of {fluid.species} species")
+    if sum(counts) < 2:
+        raise ValueError(f"density x volume is {sum(counts)} beads; a fluid needs at least 2: use a larger box")
+    return counts
+
+
+def _shares(total, species, fractions):
+    shares = np.full(species, 1 / species) if fractions is None else np.asarray(fractions, float)
+    if len(shares) != species or not np.isclose(shares.sum(), 1) or np.any(shares < 0):
+        raise ValueError(f"fractions {fractions} must be {species} shares that add up to 1")
+    edges = np.round(np.cumsum(shares) * total).astype(int)
+    return [int(c) for c in np.diff(edges, prepend=0)]
+
+
+def _positions(start, key, box, n):
+    if start == "random":
+        u = jax.random.uniform(jax.random.fold_in(key, POSITION_DOMAIN), (n, 3), dtype=box.lengths.dtype)
+        return u * box.lengths
+    if start == "lattice":
+        return jnp.asarray(_lattice(n, np.asarray(box.lengths, float)), box.lengths.dtype)
+    raise ValueError(f'start is {start!r}; it is "random" or "lattice"')
+
+
+def _lattice(n, lengths):
+    """n sites of a simple cubic lattice that fills the box, chosen evenly where there are more."""
+    spacing = (lengths.prod() / n) ** (1 / 3)
+    sites = np.maximum(1, np.round(lengths / spacing)).astype(int)
+    while sites.prod() < n:
+        sites[np.argmax(lengths / sites)] += 1
+    chosen = np.floor(np.arange(n) * sites.prod() / n).astype(int)
+    return (np.stack(np.unravel_index(chosen, sites), 1) + 0.5) / sites * lengths
+
+
+def _velocities(key, mass, kT):
+    """Maxwell velocities, shifted to zero momentum."""
+    draw = jax.random.normal(jax.random.fold_in(key, VELOCITY_DOMAIN), (mass.shape[0], 3), dtype=mass.dtype)
+    velocity = draw * jnp.sqrt(kT / mass)[:, None]
+    return velocity - jnp.sum(mass[:, None] * velocity, axis=0) / jnp.sum(mass)

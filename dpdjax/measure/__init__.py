@@ -1,0 +1,1 @@
+"""What one reads off: observables of one state, and estimates over a trajectory."""

@@ -1,0 +1,78 @@
+"""Numbers with error bars: estimates, block averages, independent replicas."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A measured value and its standard error; prints as ``0.85 +- 0.02``.
+
+    Attributes:
+        value: the estimate.
+        error: its standard error (one sigma).
+        blocks: independent pieces the error was read off.
+    """
+
+    value: float
+    error: float
+    blocks: int = 0
+
+    def __str__(self):
+        if not (math.isfinite(self.error) and self.error > 0):
+            return f"{self.value:.6g} +- {self.error:.2g}"
+        digits = max(0, 1 - math.floor(math.log10(self.error)))
+        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
+
+    __repr__ = __str__
+
+    def scaled(self, factor: float) -> "Estimate":
+        """The estimate of ``factor`` times the quantity."""
+        return Estimate(self.value * factor, self.error * abs(factor), self.blocks)
+
+    def deviation(self, other) -> float:
+        """Distance from a number or another estimate in combined standard errors."""
+        value, error = (other.value, other.error) if isinstance(other, Estimate) else (float(other), 0.0)
+        return abs(self.value - value) / math.hypot(self.error, error)
+
+
+def from_replicas(values) -> Estimate:
+    """Mean and standard error of independent values; needs at least two."""
+    values = np.asarray(values, float).ravel()
+    if values.size < 2:
+        raise ValueError(f"{values.size} independent value gives no error bar; at least 2 are needed")
+    return Estimate(float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size)), values.size)
+
+
+def block_average(series, blocks: int = 20) -> Estimate:
+    """Mean of a correlated series, with the standard error over ``blocks`` pieces of it.
+
+    Args:
+        series: values over frames (frames,), or (replicas, frames).
+        blocks: pieces in all, each longer than the correlation time. Fewer where the
+            error still grows when neighbouring pieces are merged (Flyvbjerg & Petersen 1989).
+
+    Raises ValueError for fewer than 4 values.
+    """
+    series = np.atleast_2d(np.asarray(series, float))
+    replicas, frames = series.shape
+    per_replica = max(1, min(frames, blocks // replicas))
+    if replicas * per_replica < 4:
+        per_replica = min(frames, -(-4 // replicas))
+    if replicas * per_replica < 4:
+        raise ValueError(f"{series.size} values give no error bar; record at least 4 frames")
+    length = frames // per_replica
+    means = series[:, : per_replica * length].reshape(replicas, per_replica, length).mean(2)
+    mean, error, count = float(series.mean()), 0.0, 0
+    while True:
+        size = means.size
+        now = float(means.std(ddof=1) / math.sqrt(size))
+        # A merged error is kept where it is larger by more than its own uncertainty.
+        if count == 0 or now > error * (1 + 1 / math.sqrt(2 * (size - 1))):
+            error, count = now, size
+        if means.shape[1] < 2 or size < 16:
+            return Estimate(mean, error, count)
+        even = means.shape[1] // 2 * 2
+        means = means[:, :even].reshape(replicas, -1, 2).mean(2)
