@@ -23,7 +23,8 @@ _HOMES = {
     "dpdjax.measure.structure": ["radial_distribution"],
     "dpdjax.measure.transport": ["diffusion", "mean_squared_displacement", "velocity_autocorrelation"],
     "dpdjax.measure.viscosity": [
-        "einstein_helfand", "green_kubo", "shear_viscosity", "sinusoidal_viscosity", "extrapolate",
+        "einstein_helfand", "einstein_helfand_record", "extrapolate", "green_kubo", "green_kubo_record",
+        "shear_record", "shear_viscosity", "sine_record", "sinusoidal_viscosity",
     ],
     "dpdjax.calibrate.calibrate": ["Calibration", "calibrate"],
     "dpdjax.run": ["run"],

@@ -86,8 +86,7 @@ def fractional(box: Box, position):
 
 def matrix(box: Box):
     """The lattice as columns of an upper triangular matrix, as ``jax_md.space`` takes it."""
-    lx, ly, lz = box.lengths
-    return jnp.diag(box.lengths).at[0, 1].set(box.strain * ly)
+    return jnp.diag(box.lengths).at[0, 1].set(box.strain * box.lengths[1])
 
 
 def narrowest(lengths, sheared: bool) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Flows: what drives the fluid from outside. Their numbers are leaves."""
 
 import dataclasses
-from typing import Any, Callable
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +16,11 @@ class Quiet:
     """No flow."""
 
     rate: float = dataclasses.field(default=0.0, metadata={"static": True})
-    sheared: bool = dataclasses.field(default=False, metadata={"static": True})
 
     def force(self, state, mass):
+        return None
+
+    def batch_axes(self):
         return None
 
 
@@ -27,10 +30,13 @@ class Shear:
     """Steady homogeneous shear ``u_x = rate y`` by Lees-Edwards boundaries."""
 
     rate: Any
-    sheared: bool = dataclasses.field(default=True, metadata={"static": True})
 
     def force(self, state, mass):
         return None
+
+    def batch_axes(self):
+        """The ``in_axes`` for ``jax.vmap``: a rate with an axis is a batch of rates."""
+        return Shear(0) if jnp.ndim(self.rate) == 1 else None
 
 
 @jax.tree_util.register_dataclass
@@ -42,14 +48,16 @@ class BodyForce:
     numbers: dict[str, Any]
     balance: bool = dataclasses.field(default=True, metadata={"static": True})
     rate: float = dataclasses.field(default=0.0, metadata={"static": True})
-    sheared: bool = dataclasses.field(default=False, metadata={"static": True})
+
+    def batch_axes(self):
+        return None
 
     def force(self, state, mass):
         """Force on each bead (n, 3), less its mean acceleration where balanced."""
         f = self.field(state.position, state.time, **self.numbers)
         f = jnp.broadcast_to(f, state.position.shape).astype(state.position.dtype)
         if self.balance:
-            f = f - mass * (jnp.sum(f, axis=0) / jnp.sum(mass))
+            f = f - mass * (jnp.sum(f, axis=0, keepdims=True) / jnp.sum(mass))
         return f
 
 

@@ -104,27 +104,34 @@ class Neighbours:
 
 def allocate(grid: Grid, box: boxes.Box, position) -> Neighbours:
     """A fresh list of the pairs within ``reach + skin``. jit and vmap safe."""
+    idx, (pairs, windows) = build_pairs(grid, box, position)
+    code = pairs.astype(jnp.uint8) + 2 * windows.astype(jnp.uint8)
+    return restore(grid, idx, position, code, box.strain)
+
+
+def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
+    """A list from its arrays; ``code`` has jax-md's bits, 1 pair and 2 cell overflow."""
     from jax_md import partition
 
-    idx, overflow = build_pairs(grid, box, position)
-    error = partition.PartitionError(jnp.zeros((), jnp.uint8))
-    error = error.update(partition.PEC.NEIGHBOR_LIST_OVERFLOW, overflow[0])
-    error = error.update(partition.PEC.CELL_LIST_OVERFLOW, overflow[1])
     neighbour_list = partition.NeighborList(
-        idx, position, error, grid.window, grid.capacity, partition.OrderedSparse,
-        grid.reach + grid.skin, None, updater(grid),
+        idx=idx,
+        reference_position=reference_position,
+        error=partition.PartitionError(code),
+        cell_list_capacity=grid.window,
+        max_occupancy=grid.capacity,
+        format=partition.OrderedSparse,
+        cell_size=grid.reach + grid.skin,
+        cell_list_fn=None,
+        update_fn=updater(grid),
     )
-    return Neighbours(neighbour_list, box.strain, grid)
+    return Neighbours(neighbour_list, strain, grid)
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def updater(grid: Grid):
     """The list's ``update_fn``; one object per grid, so that jit does not recompile."""
 
     def update_fn(position, neighbour_list, box):
-        from jax_md import partition
-
-        del partition
         return update(Neighbours(neighbour_list, box.strain, grid), box, position).list
 
     return update_fn
@@ -207,7 +214,7 @@ def _all_pairs(grid, box, position):
 def _cell_pairs(grid, box, position):
     n = position.shape[0]
     cells = np.array(grid.cells)
-    cell = jnp.minimum((boxes.fractional(box, position) * cells).astype(jnp.int32), cells - 1)
+    cell = jnp.minimum((boxes.fractional(box, position) * cells[None]).astype(jnp.int32), cells[None] - 1)
     flat = (cell[:, 2] * cells[1] + cell[:, 1]) * cells[0] + cell[:, 0]
     order = jnp.argsort(flat).astype(jnp.int32)
     flat, cell = flat[order], cell[order]
@@ -215,12 +222,13 @@ def _cell_pairs(grid, box, position):
     start, length, row_start, row_end = _ranges(cells, cell, first)
 
     x, y, z = (position[order, k] for k in range(3))
-    slot = start[..., None] + jnp.arange(grid.window, dtype=jnp.int32)
+    offset = jnp.arange(grid.window, dtype=jnp.int32)[None, None]
+    slot = start[..., None] + offset
     slot = jnp.where(slot >= row_end[..., None], slot - (row_end - row_start)[..., None], slot)
     here = (slice(None), None, None)
     dx, dy, dz = boxes.minimum_image(box, x[slot] - x[here], y[slot] - y[here], z[slot] - z[here])
     near = dx * dx + dy * dy + dz * dz < (grid.reach + grid.skin) ** 2
-    near &= jnp.arange(grid.window) < length[..., None]
+    near &= offset < length[..., None]
 
     word, bit, filled, total = _set_bits(_pack(near.reshape(-1, WORD)), grid.capacity)
     window_words = grid.window // WORD
@@ -240,8 +248,8 @@ def _ranges(cells, cell, first):
     row, runs from the next slot to the end of x + 1. ``first`` is the first slot of each cell.
     """
     nx, ny, nz = (int(c) for c in cells)
-    y = (cell[:, 1, None] + ROWS[:, 0]) % ny
-    z = (cell[:, 2, None] + ROWS[:, 1]) % nz
+    y = (cell[:, 1, None] + ROWS[None, :, 0]) % ny
+    z = (cell[:, 2, None] + ROWS[None, :, 1]) % nz
     row = (z * ny + y) * nx
     row_start, row_end = first[row], first[row + nx]
     x = cell[:, 0, None]
@@ -256,7 +264,7 @@ def _ranges(cells, cell, first):
 
 def _pack(bits):
     """(m, 32) booleans as m words of 32 bits."""
-    return jnp.sum(bits.astype(jnp.uint32) << jnp.arange(WORD, dtype=jnp.uint32), axis=1, dtype=jnp.uint32)
+    return jnp.sum(bits.astype(jnp.uint32) << jnp.arange(WORD, dtype=jnp.uint32)[None], axis=1, dtype=jnp.uint32)
 
 
 def _set_bits(words, capacity):

@@ -1,7 +1,7 @@
 """What a run keeps of each frame: a value at its end, or a mean or integral over it."""
 
 import dataclasses
-from typing import Callable
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import is_concrete, number, positive, prng_key
-from dpdjax.engine import status as bits
+from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import flow as flows
+from dpdjax.engine import status as bits
 from dpdjax.engine.record import Recorder, recorders
 from dpdjax.engine.state import State
 from dpdjax.engine.step import started, step
@@ -66,6 +66,27 @@ class Trajectory:
     def interval(self):
         """Time between two frames."""
         return self.dt * self.every
+
+    @property
+    def is_batch(self) -> bool:
+        return jnp.ndim(self.final.position) == 3
+
+    def members(self) -> list["Trajectory"]:
+        """The trajectories of a batch one by one, each with its own numbers."""
+        if not self.is_batch:
+            return [self]
+        axes = (self.fluid.batch_axes(), self.flow.batch_axes(), 0 if jnp.ndim(self.dt) else None)
+
+        def pick(k):
+            take = lambda tree: jax.tree.map(lambda leaf: leaf[k], tree)
+            fluid, flow, dt = (
+                jax.tree.map(lambda axis, leaf: leaf if axis is None else leaf[k], ax, tree, is_leaf=lambda x: x is None)
+                if ax is not None else tree
+                for ax, tree in zip(axes, (self.fluid, self.flow, self.dt))
+            )
+            return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete)
+
+        return [pick(k) for k in range(self.final.position.shape[0])]
 
 
 def simulate(

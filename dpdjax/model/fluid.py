@@ -1,13 +1,14 @@
 """A fluid: which groups of beads interact by which terms, at which temperature and mass."""
 
 import dataclasses
-from typing import Any, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import is_concrete, not_negative, number, positive
+from dpdjax.checks import not_negative, positive
 from dpdjax.model.term import Term, replace_coefficients
 
 
@@ -74,6 +75,27 @@ class Fluid:
         if name not in self.coefficients:
             raise TypeError(_unknown(name, self))
         return self.coefficients[name]
+
+    def batch_axes(self) -> "Fluid":
+        """The ``in_axes`` of this fluid for ``jax.vmap``: 0 for numbers that carry a batch.
+
+        Coefficients are scalars or tables and masses vectors, so one more axis is a batch.
+        """
+
+        def axes(t: Term) -> Term:
+            coefficients = {k: 0 if jnp.ndim(c) in (1, 3) else None for k, c in t.coefficients.items()}
+            return dataclasses.replace(t, coefficients=coefficients, cut=None)
+
+        interactions = tuple(
+            dataclasses.replace(i, conservative=tuple(map(axes, i.conservative)), drag=tuple(map(axes, i.drag)))
+            for i in self.interactions
+        )
+        return Fluid(interactions, 0 if jnp.ndim(self.kT) == 1 else None, 0 if jnp.ndim(self.mass) == 2 else None)
+
+    @property
+    def is_batch(self) -> bool:
+        """Whether any number carries a batch axis."""
+        return bool(jax.tree.leaves(self.batch_axes()))
 
     def set(self, **numbers) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.

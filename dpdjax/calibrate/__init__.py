@@ -1,0 +1,1 @@
+"""Inverse problems: which parameter gives the number that is wanted."""

@@ -1,0 +1,247 @@
+"""Find the parameter that gives a wanted number, with an error bar."""
+
+import dataclasses
+import math
+import time
+from typing import Any
+
+import jax
+import numpy as np
+
+from dpdjax.calibrate import experiment
+from dpdjax.calibrate.curve import Curve, Point, propose
+from dpdjax.calibrate.goal import Goal, custom_goal, pressure_goal, suggest_rate, viscosity_goal
+from dpdjax.checks import positive, prng_key
+from dpdjax.measure.statistics import Estimate
+
+MAX_POINTS = 10
+SLOPE_SAMPLES = 8
+"""Tangent windows per point, over all boxes."""
+
+
+class TargetError(ValueError):
+    """A target no parameter reaches; ``history`` holds what was measured."""
+
+    def __init__(self, message, history):
+        super().__init__(message)
+        self.history = history
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """The answer of a calibration.
+
+    Attributes:
+        parameter: what was varied.
+        name: what was aimed at, e.g. ``"viscosity"``.
+        target: its wanted value.
+        estimate: the parameter that gives it, with its error.
+        measured: the wanted number in a fresh run at that parameter, with its error.
+        fluid: the fluid with the parameter set.
+        history: the measured points; ``x`` is the logarithm of the parameter.
+        curve: the fit through them.
+        dt, rate: time step and shear rate of the fresh run.
+        particle_steps, seconds: what it took.
+    """
+
+    parameter: str
+    name: str
+    target: float
+    estimate: Estimate
+    measured: Estimate
+    fluid: Any
+    history: tuple[Point, ...]
+    curve: Curve
+    dt: float
+    rate: float
+    particle_steps: int
+    seconds: float
+
+    @property
+    def value(self) -> float:
+        return self.estimate.value
+
+    @property
+    def error(self) -> float:
+        return self.estimate.error
+
+    def __str__(self):
+        return (
+            f"{self.parameter} = {self.estimate} gives {self.name} {self.target:g}: "
+            f"a fresh run measured {self.measured}"
+        )
+
+    __repr__ = __str__
+
+
+def calibrate(
+    fluid,
+    parameter: str = "gamma",
+    *,
+    key,
+    viscosity=None,
+    pressure=None,
+    target=None,
+    observe=None,
+    flow=None,
+    density: float = 3.0,
+    tolerance: float = 0.02,
+    branch: str = "upper",
+    guess: float | None = None,
+    dt: float | None = None,
+    rate: float | None = None,
+    box: float | None = None,
+    boxes: int = 4,
+    max_particle_steps: float = 2e9,
+    report=None,
+) -> Calibration:
+    """The value of ``parameter`` at which the fluid has the wanted viscosity (or other number).
+
+    A batch of boxes is run at a guess; a value (unbiased, with its error) and a slope (by
+    forward mode through a short window) are measured; all points so far are fitted together
+    and the next run goes to the root of the fit, until its error bar is met. A fresh run at
+    the answer checks it.
+
+    Args:
+        fluid: what to calibrate; its present value of ``parameter`` is the first guess
+            where ``guess`` gives none.
+        parameter: a positive scalar of the fluid: ``"gamma"``, ``"a"``, ``"kT"``, ...
+        key: a PRNG key.
+        viscosity, pressure: the wanted number; or ``target`` with ``observe(fluid, state)``
+            and the ``flow`` it is measured in.
+        density: beads per volume.
+        tolerance: relative; the standard error of the wanted number at the answer, in the
+            fit and in the fresh run, is at most half of it.
+        branch: ``"upper"`` where the number rises with the parameter, ``"lower"`` where it
+            falls: viscosity has a minimum in gamma, and two gammas above it.
+        dt: time step; by default ``suggest_dt``, following the drag.
+        rate: shear rate; by default ``suggest_rate``.
+        box: side of each box; by default 8 interaction ranges.
+        boxes: boxes in the batch.
+        max_particle_steps: give up beyond.
+        report: ``report(text)`` is told of the progress.
+
+    Raises:
+        TargetError: a target below the measured minimum, which it states; its ``history``
+            holds the points.
+        ValueError, TypeError: arguments that cannot work, before anything runs.
+    """
+    began = time.monotonic()
+    key = prng_key(key)
+    sign = _branch_sign(branch)
+    positive(tolerance, "tolerance")
+    density = float(positive(density, "density"))
+    guess = _first_guess(fluid, parameter, guess, viscosity, density)
+    fluid = fluid.set(**{parameter: guess})
+    goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
+    say = report or (lambda text: None)
+    bench = _bench(fluid, goal, key, density, box, boxes, dt)
+    wanted = 0.5 * tolerance * abs(goal.target)
+
+    x, points, proposal = math.log(guess), [], None
+    while True:
+        fluid = fluid.set(**{parameter: math.exp(x)})
+        coarse = not points or proposal.why == "search"
+        error = 3.0 * wanted if coarse else 0.9 * wanted
+        points.append(_measure_point(bench, fluid, parameter, x, error, first=not points, most=max_particle_steps, say=say))
+        say(f"{parameter} {math.exp(x):.4g}: {goal.name} {points[-1].value}, slope {points[-1].slope}")
+        proposal = propose(points, goal.target, sign)
+        _refuse_unreachable(points, proposal, goal, parameter, sign)
+        answer = proposal.curve.at(proposal.x)
+        near = min(abs(p.x - proposal.x) for p in points)
+        if proposal.why == "root" and near < 0.1 and answer.error <= wanted:
+            break
+        if len(points) >= MAX_POINTS or bench.steps > max_particle_steps:
+            raise TargetError(_gave_up(points, goal, parameter, bench), tuple(points))
+        x = proposal.x
+
+    value = math.exp(proposal.x)
+    error = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
+    fluid = fluid.set(**{parameter: value})
+    bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
+    settle = 0.5 * experiment.thermal_time(fluid)
+    fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
+    return Calibration(
+        parameter, goal.name, goal.target, Estimate(value, error, len(points)), fresh, fluid, tuple(points),
+        proposal.curve, bench.step_for(fluid), float(goal.flow.rate), bench.steps, time.monotonic() - began,
+    )  # fmt: skip
+
+
+def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point:
+    settle = (1.0 if first else 0.5) * experiment.thermal_time(fluid)
+    value = experiment.measure(bench, fluid, error, settle, int(most), say)
+    windows = max(1, -(-SLOPE_SAMPLES // bench.state.position.shape[0]))
+    (slope,) = experiment.measure_slopes(bench, fluid, (parameter,), windows)
+    return Point(x, value, slope)
+
+
+def _bench(fluid, goal, key, density, box, boxes, dt):
+    from dpdjax.run import run
+
+    side = 8.0 * max(i.reach for i in fluid.interactions) if box is None else box
+    return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, run=run, dt=dt)
+
+
+def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
+    given = [name for name, v in (("viscosity", viscosity), ("pressure", pressure), ("target", target)) if v is not None]
+    if len(given) != 1:
+        raise ValueError(f"give one of viscosity=, pressure= or target= with observe=; got {given or 'none'}")
+    if viscosity is not None:
+        positive(viscosity, "viscosity")
+        rate = suggest_rate(fluid, density, viscosity, tolerance) if rate is None else float(positive(rate, "rate"))
+        return viscosity_goal(viscosity, rate)
+    if pressure is not None:
+        return pressure_goal(pressure)
+    if observe is None:
+        raise ValueError("target= needs observe=, a function observe(fluid, state) of which it is the mean")
+    return custom_goal(target, observe, flow)
+
+
+def _branch_sign(branch) -> int:
+    if branch not in ("upper", "lower"):
+        raise ValueError(f'branch is {branch!r}; it is "upper" (rising) or "lower" (falling)')
+    return 1 if branch == "upper" else -1
+
+
+def _first_guess(fluid, parameter, guess, viscosity, density) -> float:
+    present = fluid.value(parameter)
+    if np.ndim(present) != 0:
+        raise ValueError(f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated")
+    if guess is not None:
+        return float(positive(guess, "guess"))
+    if parameter == "gamma" and viscosity is not None:
+        return drag_guess(fluid, viscosity, density)
+    return float(positive(present, parameter, "give guess="))
+
+
+def drag_guess(fluid, viscosity: float, density: float) -> float:
+    """The gamma whose drag alone gives the viscosity: ``2 pi gamma rho^2 r_c^5 / 1575``, inverted.
+
+    Kinetic theory for the weight exponent 2 (Marsh et al. 1997); 30-40 % off, and good
+    enough to begin with.
+    """
+    reach = max(interaction.reach for interaction in fluid.interactions)
+    return 1575.0 * viscosity / (2 * math.pi * density**2 * reach**5)
+
+
+def _refuse_unreachable(points, proposal, goal, parameter, sign):
+    """Raise where the measured minimum lies above the target."""
+    if proposal.why != "minimum":
+        return
+    lowest = min(points, key=lambda p: p.value.value)
+    close = abs(lowest.x - proposal.x) < 0.35 and len(points) >= 3
+    if close and lowest.value.value - goal.target > 3 * lowest.value.error:
+        raise TargetError(
+            f"{goal.name} {goal.target:g} cannot be reached with {parameter}: the smallest measured is "
+            f"{lowest.value} at {parameter} = {math.exp(lowest.x):.3g}; ask for more than that, or lower kT",
+            tuple(points),
+        )
+
+
+def _gave_up(points, goal, parameter, bench) -> str:
+    best = min(points, key=lambda p: abs(p.value.value - goal.target))
+    return (
+        f"no answer after {len(points)} points and {bench.steps:.2g} particle-steps: nearest is {goal.name} "
+        f"{best.value} at {parameter} = {math.exp(best.x):.3g}, wanted {goal.target:g}; allow more "
+        "max_particle_steps, a larger tolerance, or give a guess"
+    )

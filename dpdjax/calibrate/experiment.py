@@ -1,0 +1,199 @@
+"""One point of a calibration: a number and its slope, measured in a batch of boxes."""
+
+import dataclasses
+import functools
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.calibrate.curve import Point
+from dpdjax.calibrate.goal import Goal
+from dpdjax.engine import status as bits
+from dpdjax.engine.record import mean
+from dpdjax.engine.simulate import Plan, advance
+from dpdjax.engine.state import damping_rate, grow, initial_state, suggest_dt, suggest_skin
+from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from dpdjax.measure.viscosity import controlled
+
+PIECE = Plan(frames=25, every=40)
+"""A run is extended by whole pieces until its error bar is met: one compilation for all."""
+MIN_BLOCKS = 16
+WINDOW_FRAMES = 16
+
+
+@dataclasses.dataclass
+class Bench:
+    """Boxes that stay in their stationary state from one point to the next.
+
+    Attributes:
+        fluid: the fluid at its first guess.
+        goal: what is measured.
+        density: beads per volume.
+        state: a batch of states.
+        keys: one noise key per box.
+        run: the host door ``dpdjax.run.run``, passed in from above.
+        dt: fixed time step, or None to follow the drag.
+        steps: particle-steps spent so far.
+    """
+
+    fluid: Any
+    goal: Goal
+    density: float
+    state: Any
+    keys: Any
+    run: Any
+    dt: float | None = None
+    steps: int = 0
+
+    def step_for(self, fluid) -> float:
+        return suggest_dt(fluid, self.density) if self.dt is None else self.dt
+
+    @property
+    def beads(self) -> int:
+        return int(np.prod(self.state.position.shape[:2]))
+
+
+def prepare(fluid, goal: Goal, key, *, density, side, boxes, run, dt=None) -> Bench:
+    """A batch of boxes in equilibrium.
+
+    Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
+    and a long step, for five thermal times.
+    """
+    build_key, noise_key = jax.random.split(key)
+    step = suggest_dt(fluid, density) if dt is None else dt
+    skin = suggest_skin(fluid, step)
+    build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
+    state = jax.vmap(build)(jax.random.split(build_key, boxes))
+    keys = jax.random.split(noise_key, boxes)
+    thermal = thermal_time(fluid)
+    weak = fluid.set(gamma=4.5 / thermal) if "gamma" in fluid.coefficients else fluid
+    plan = Plan(10, 50)
+    state = run(weak, state, keys, min(0.01 * thermal, 2 * suggest_dt(weak, density)), plan, progress=False).final
+    bench = Bench(fluid, goal, density, state, keys, run, dt)
+    bench.steps += plan.steps * bench.beads
+    return bench
+
+
+def thermal_time(fluid) -> float:
+    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach."""
+    reach = min(interaction.reach for interaction in fluid.interactions)
+    return reach * math.sqrt(float(jnp.min(fluid.mass)) / float(fluid.kT))
+
+
+def measure(bench: Bench, fluid, error: float, settle: float, most: int, report) -> Estimate:
+    """Run until the mean of the goal has the wanted standard error.
+
+    Args:
+        bench: the boxes; they are moved along.
+        fluid: the fluid now.
+        error: wanted standard error.
+        settle: time left out at the start.
+        most: particle-steps at most.
+        report: ``report(text)``, told of the progress.
+    """
+    dt = bench.step_for(fluid)
+    piece_time = dt * PIECE.steps
+    for _ in range(math.ceil(settle / piece_time)):
+        _extend(bench, fluid, dt)
+    series, noise, spent = [], [], 0
+    while True:
+        frames = _extend(bench, fluid, dt)
+        spent += PIECE.steps * bench.beads
+        series.append(frames["value"])
+        noise.append(frames.get("noise"))
+        estimate = _estimate(series, noise, bench.goal.scale)
+        report(f"{bench.goal.name} {estimate}, wanted error {error:.2g}")
+        enough = len(series) * bench.state.position.shape[0] >= MIN_BLOCKS
+        if (enough and estimate.error <= error) or spent >= most:
+            return estimate
+
+
+def _extend(bench, fluid, dt):
+    piece = bench.run(
+        fluid, bench.state, bench.keys, dt, PIECE, bench.goal.flow, observe=mean(bench.goal.observe), progress=False
+    )
+    bench.state = piece.final
+    bench.steps += PIECE.steps * bench.beads
+    return piece.frames
+
+
+def _estimate(series, noise, scale) -> Estimate:
+    series = scale * np.concatenate(series, axis=1)
+    if noise[0] is not None:
+        series = controlled(series, np.concatenate(noise, axis=1), MIN_BLOCKS)
+    return block_average(series, 2 * MIN_BLOCKS)
+
+
+def window_time(fluid, density: float) -> float:
+    """How long a tangent is followed: four velocity damping times, at most 0.7 thermal times.
+
+    Longer windows gain nothing: the tangent has reached its plateau, and its noise grows
+    as ``exp(2.7 t)`` in thermal times (measured: tests/physics/RESULTS.md).
+    """
+    return min(0.7 * thermal_time(fluid), 4.0 / max(damping_rate(fluid, density), 1e-12))
+
+
+def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) -> list[Estimate]:
+    """Slopes of the goal in the logarithm of each parameter, from short tangent windows.
+
+    Starts in the stationary state of ``fluid``, switches the tangent on and follows
+    ``d value / d ln parameter`` by forward mode; the boxes move along.
+    """
+    dt = bench.step_for(fluid)
+    every = max(1, round(window_time(fluid, bench.density) / dt / WINDOW_FRAMES))
+    plan = Plan(WINDOW_FRAMES, every)
+    tangents = [[] for _ in names]
+    for _ in range(windows):
+        for k, name in enumerate(names):
+            slopes = _window(bench, fluid, name, dt, plan)
+            tangents[k].append(bench.goal.scale * np.asarray(slopes, float))
+            bench.steps += plan.steps * bench.beads
+    return [plateau(np.concatenate(t)) for t in tangents]
+
+
+def _window(bench, fluid, name, dt, plan):
+    """One window for all boxes, replayed with larger lists where one overflows."""
+    for _ in range(8):
+        slopes, after = _tangent(fluid, bench.state, bench.keys, dt, bench.goal.flow, name, plan, bench.goal.observe)
+        status = np.bitwise_or.reduce(np.asarray(after.status))
+        if not status:
+            bench.state = after
+            return slopes
+        if status & ~np.uint32(bits.OVERFLOWS):
+            break
+        bench.state = grow(bench.state)
+    raise RuntimeError(f"tangent window failed: {bits.describe(status)}")
+
+
+@functools.partial(jax.jit, static_argnames=("name", "plan", "observe"))
+def _tangent(fluid, state, keys, dt, flow, name, plan, observe):
+    """``d value / d ln parameter`` over the frames of a window, (boxes, frames), and the states after it."""
+    here = jnp.log(fluid.value(name))
+
+    def values(x, state, key):
+        moved = fluid.set(**{name: jnp.exp(x)})
+        trajectory = advance(moved, state, key, dt, plan, flow, mean(observe))
+        return trajectory.frames["value"], trajectory.final
+
+    def one(state, key):
+        _, slopes, final = jax.jvp(lambda x: values(x, state, key), (here,), (jnp.ones_like(here),), has_aux=True)
+        return slopes, final
+
+    return jax.vmap(one)(state, keys)
+
+
+def plateau(tangents) -> Estimate:
+    """The latest tangent whose error is still a tenth of its size, else the least noisy late one.
+
+    Args:
+        tangents: slopes over time in independent windows, (windows, frames).
+    """
+    estimates = [from_replicas(column) for column in tangents.T]
+    good = [e for e in estimates if e.error <= 0.1 * abs(e.value)]
+    if good:
+        return good[-1]
+    return min(estimates[len(estimates) // 4 :], key=lambda e: e.error)
+

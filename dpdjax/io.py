@@ -1,0 +1,66 @@
+"""States on disk: one ``.npz`` file that any numpy reads."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.engine import neighbours as lists
+from dpdjax.engine.box import Box
+from dpdjax.engine.state import State, Tally
+
+FORMAT = 1
+ARRAYS = ("position", "velocity", "force", "image", "id", "species", "step", "time", "started", "status")
+
+
+def save_state(path, state: State) -> None:
+    """Write a state; ``load_state`` gives back the same bits, lists and all.
+
+    A run goes on from it exactly, given the key it was started with.
+    """
+    arrays = {name: np.asarray(getattr(state, name)) for name in ARRAYS}
+    arrays |= {"box_lengths": np.asarray(state.box.lengths), "box_strain": np.asarray(state.box.strain)}
+    arrays |= {f"tally_{f.name}": np.asarray(getattr(state.tally, f.name)) for f in dataclasses.fields(Tally)}
+    for k, n in enumerate(state.neighbours):
+        arrays |= {
+            f"list{k}_pairs": np.asarray(n.list.idx),
+            f"list{k}_reference": np.asarray(n.list.reference_position),
+            f"list{k}_code": np.asarray(n.list.error.code),
+            f"list{k}_strain": np.asarray(n.strain),
+        }
+    grids = [dataclasses.asdict(n.grid) for n in state.neighbours]
+    with open(path, "wb") as file:
+        np.savez_compressed(file, meta=json.dumps({"format": FORMAT, "grids": grids}), **arrays)
+
+
+def load_state(path) -> State:
+    """Read what ``save_state`` wrote.
+
+    Raises ValueError where the file is no such state, or needs float64 that is off.
+    """
+    with np.load(path) as file:
+        if "meta" not in file:
+            raise ValueError(f"{path} is not a dpdjax state: it has no 'meta'; write it with dpd.save_state")
+        meta = json.loads(str(file["meta"]))
+        if meta["format"] != FORMAT:
+            raise ValueError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
+        saved = {name: file[name] for name in file.files if name != "meta"}
+    if saved["position"].dtype == np.float64 and not jax.config.jax_enable_x64:
+        raise ValueError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
+    saved = {name: jnp.asarray(array) for name, array in saved.items()}
+    return State(
+        **{name: saved[name] for name in ARRAYS},
+        box=Box(saved["box_lengths"], saved["box_strain"]),
+        neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(meta["grids"])),
+        tally=Tally(*(saved[f"tally_{f.name}"] for f in dataclasses.fields(Tally))),
+    )
+
+
+def _list(saved, k, fields):
+    cells = fields["cells"]
+    grid = lists.Grid(**{**fields, "cells": tuple(cells) if cells else None})
+    return lists.restore(
+        grid, saved[f"list{k}_pairs"], saved[f"list{k}_reference"], saved[f"list{k}_code"], saved[f"list{k}_strain"]
+    )

@@ -1,0 +1,237 @@
+"""Transport of beads: mean squared displacement, velocity autocorrelation, diffusion.
+
+Averages run over beads and time origins. Error bars come from pieces that are independent:
+replicas, and stretches of time at least twice the longest lag. Blocks of beads would not do,
+since beads of one fluid are carried by the same eddies.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from dpdjax.measure.statistics import Estimate, from_replicas
+from dpdjax.measure.structure import PIECES, draw, recorded, standard_error
+
+BEADS_AT_ONCE = 256
+"""Beads Fourier-transformed at a time."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MeanSquaredDisplacement:
+    """``<|r(t) - r(0)|^2>`` relative to the centre of mass.
+
+    Attributes:
+        time: lags from 0, (lags,) [time].
+        value: (lags,) [length^2].
+        error: its standard error, (lags,); NaN where there is a single piece.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+    error: np.ndarray
+
+    def plot(self, ax=None):
+        """Draw it in double logarithmic scale with its error band; returns the matplotlib axes."""
+        label = "mean squared displacement [length$^2$]"
+        ax = draw(ax, self.time[1:], self.value[1:], self.error[1:], "t [time]", label)
+        ax.set(xscale="log", yscale="log")
+        return ax
+
+
+@dataclasses.dataclass(frozen=True)
+class VelocityAutocorrelation:
+    """``<v(t) . v(0)>`` relative to the centre of mass; ``3 kT / m`` at t = 0.
+
+    Attributes:
+        time: lags from 0, (lags,) [time].
+        value: (lags,) [length^2 / time^2].
+        error: its standard error, (lags,); NaN where there is a single piece.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+    error: np.ndarray
+
+    def plot(self, ax=None):
+        """Draw it with its error band; returns the matplotlib axes."""
+        label = "velocity autocorrelation [length$^2$ / time$^2$]"
+        return draw(ax, self.time, self.value, self.error, "t [time]", label)
+
+
+def mean_squared_displacement(trajectory, *, species: int | None = None, t_max: float | None = None):
+    """The mean squared displacement of a run recorded with ``observe=dpd.positions``.
+
+    The drift of the centre of mass of all beads is taken off; a flow driven by body forces is not.
+
+    Args:
+        trajectory: a run without shear, batched or not.
+        species: index of the species looked at, or None for every bead.
+        t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
+
+    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a sheared or failed run, one without
+    positions, a species that is not there, a ``t_max`` outside the run.
+    """
+    time, curves = _curves(trajectory, "unwrapped", _squared_displacement, species, t_max)
+    return MeanSquaredDisplacement(time, curves.mean(axis=0), standard_error(curves))
+
+
+def velocity_autocorrelation(trajectory, *, species: int | None = None, t_max: float | None = None):
+    """The velocity autocorrelation of a run recorded with ``observe=dpd.positions``.
+
+    Arguments and errors as in :func:`mean_squared_displacement`; returns a :class:`VelocityAutocorrelation`.
+    """
+    time, curves = _curves(trajectory, "velocity", _autocorrelation, species, t_max)
+    return VelocityAutocorrelation(time, curves.mean(axis=0), standard_error(curves))
+
+
+def diffusion(
+    trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None, species: int | None = None
+) -> Estimate:
+    """The self-diffusion coefficient ``D`` [length^2 / time] of a run recorded with ``observe=dpd.positions``.
+
+    Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean squared displacement
+    (Einstein), or a third of the integral of the velocity autocorrelation up to t, averaged over t (Green-Kubo).
+    The integral needs frames much closer than the velocity lives; the slope does not.
+
+    D is that of the periodic box, short of a large system's by about ``2.837 kT / (6 pi viscosity side)``
+    (Duenweg & Kremer 1993).
+
+    Args:
+        trajectory: a run without shear, batched or not.
+        method: ``"msd"`` or ``"vacf"``.
+        fit: first and last lag [time]: after the velocity is forgotten, and below half the run. By default the
+            later half of the lags that leave 12 independent pieces.
+        species: index of the species looked at, or None for every bead.
+
+    Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves fewer than 4
+    independent pieces, and as :func:`mean_squared_displacement` does.
+    """
+    readings = {"msd": ("unwrapped", _squared_displacement, _slope), "vacf": ("velocity", _autocorrelation, _integral)}
+    if method not in readings:
+        raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
+    name, correlate, read = readings[method]
+    time, curves = _curves(trajectory, name, correlate, species, None if fit is None else fit[1])
+    window = _window(time, (0.5 * time[-1], time[-1]) if fit is None else fit)
+    if len(curves) < 4:
+        raise ValueError(
+            f"{len(curves)} independent pieces give no error bar; run 8 times as long as the last lag "
+            f"of the fit, {time[-1]:.4g}, or several replicas"
+        )
+    return from_replicas(read(time, curves, window))
+
+
+def _slope(time, curves, window):
+    """A sixth of the least-squares slope of each curve."""
+    return np.polyfit(time[window], curves[:, window].T, 1)[0] / 6.0
+
+
+def _integral(time, curves, window):
+    """A third of the running integral of each curve, averaged over the window."""
+    steps = 0.5 * (curves[:, 1:] + curves[:, :-1]) * np.diff(time)[None, :]
+    running = np.concatenate([np.zeros_like(curves[:, :1]), np.cumsum(steps, axis=1)], axis=1)
+    return running[:, window].mean(axis=1) / 3.0
+
+
+def _window(time, fit):
+    slack = 1e-4 * time[1]
+    window = (time >= fit[0] - slack) & (time <= fit[1] + slack)
+    if window.sum() < 2:
+        raise ValueError(
+            f"fit = ({fit[0]:.4g}, {fit[1]:.4g}) holds {window.sum()} lags, at least 2 are needed; "
+            f"frames are {time[1]:.4g} apart"
+        )
+    return window
+
+
+def _curves(trajectory, name, correlate, species, t_max):
+    """Lags (lags,) and one curve for each independent piece (pieces, lags)."""
+    values = recorded(trajectory, name)
+    batch, frames = values.shape[:2]
+    interval = _interval(trajectory)
+    longest = _longest_lag(frames, batch, interval, t_max)
+    each = max(1, min(-(-PIECES // batch), frames // (2 * longest)))
+    beads = _chosen(trajectory, species)
+    curves = [
+        correlate(piece[:, beads], longest)
+        for member, mass in zip(values, _masses(trajectory, batch))
+        for piece in np.split(_without_drift(member, mass)[: frames // each * each], each)
+    ]
+    return interval * np.arange(longest + 1), np.array(curves)
+
+
+def _longest_lag(frames, batch, interval, t_max):
+    """The longest lag in frames; by default half of each piece."""
+    if t_max is None:
+        longest = frames // (2 * -(-PIECES // batch))
+        if longest < 1:
+            raise ValueError(f"{frames} frames are too few for {PIECES} pieces; record more, or give the longest lag")
+        return longest
+    longest = math.floor(t_max / interval + 1e-4)
+    if not 1 <= longest < frames:
+        run = interval * (frames - 1)
+        raise ValueError(f"longest lag {t_max:.4g} is outside the run; frames are {interval:.4g} apart over {run:.4g}")
+    return longest
+
+
+def _interval(trajectory) -> float:
+    intervals = np.ravel(np.asarray(trajectory.interval, float))
+    if not np.allclose(intervals, intervals[0]):
+        raise ValueError("members of the batch have different time steps; measure them one by one")
+    return float(intervals[0])
+
+
+def _species(trajectory):
+    """The species of each bead (n,), the same in every member of a batch."""
+    species = np.asarray(trajectory.final.species)
+    return species.reshape(-1, species.shape[-1])[0]
+
+
+def _chosen(trajectory, species):
+    """Indices of the beads of one species, or of all."""
+    of_bead = _species(trajectory)
+    if species is not None and species not in of_bead:
+        raise ValueError(f"no bead is of species {species}; there are {', '.join(map(str, np.unique(of_bead)))}")
+    return np.flatnonzero(of_bead == species) if species is not None else np.arange(len(of_bead))
+
+
+def _masses(trajectory, batch):
+    """Mass of each bead in each member, (batch, n)."""
+    mass = np.asarray(trajectory.fluid.mass, float)
+    mass = mass.reshape(-1, mass.shape[-1])[:, _species(trajectory)]
+    return np.broadcast_to(mass, (batch, mass.shape[1]))
+
+
+def _without_drift(values, mass):
+    """Values (frames, n, 3) relative to their mean over the mass, in double precision."""
+    values = np.asarray(values, float)
+    drift = np.einsum("n,fnc->fc", mass / mass.sum(), values)
+    return values - drift[:, None, :]
+
+
+def _products(values, longest: int):
+    """Mean over beads and origins of ``x(t0) . x(t0 + t)``, (longest + 1,), for x (frames, n, 3).
+
+    Every lag has the same origins, those that the longest still finds an end for. By Fourier transform:
+    the circular product of origins and frames does not wrap at these lags.
+    """
+    frames, n = values.shape[:2]
+    spectrum = 0.0
+    for x in np.array_split(values, -(-n // BEADS_AT_ONCE), axis=1):
+        ends, origins = np.fft.rfft(x, axis=0), np.fft.rfft(x[: frames - longest], frames, axis=0)
+        spectrum = spectrum + np.sum(np.conj(origins) * ends, axis=(1, 2))
+    return np.fft.irfft(spectrum, frames)[: longest + 1] / (n * (frames - longest))
+
+
+def _autocorrelation(velocity, longest: int):
+    return _products(velocity, longest)
+
+
+def _squared_displacement(position, longest: int):
+    """``<x(t)^2> + <x(0)^2> - 2 <x(t) . x(0)>`` over the origins common to all lags, (longest + 1,)."""
+    # Only displacements count: start at the origin, where the difference of squares loses least.
+    position = position - position[:1]
+    origins = len(position) - longest
+    squares = np.mean(np.sum(position**2, axis=2), axis=1)
+    means = np.lib.stride_tricks.sliding_window_view(squares, origins).mean(axis=1)
+    return np.maximum(means + means[0] - 2.0 * _products(position, longest), 0.0)

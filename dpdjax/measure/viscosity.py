@@ -1,0 +1,252 @@
+"""Shear viscosity, by four methods that share nothing but the fluid.
+
+| method                      | record                                        | notes                           |
+|-----------------------------|-----------------------------------------------|---------------------------------|
+| ``shear_viscosity``         | a run under ``dpd.shear(rate)``               | the workhorse; at finite rate   |
+| ``green_kubo``              | ``observe=dpd.green_kubo_record``, short ``every`` | equilibrium, zero rate     |
+| ``einstein_helfand``        | ``observe=dpd.einstein_helfand_record``       | equilibrium; every step summed  |
+| ``sinusoidal_viscosity``    | ``observe=dpd.sine_record(waves)``            | needs no stress; k -> 0 by hand |
+
+A batched trajectory is taken as replicas of one system: its members are pooled.
+"""
+
+import functools
+import math
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.engine.record import Recorder, integral, mean
+from dpdjax.measure.observables import (
+    instantaneous_viscosity,
+    momentum,
+    standard,
+    stresses,
+    temperature,
+    total_pressure,
+)
+from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+
+
+def shear_viscosity(trajectory, *, skip: float = 0.1, blocks: int = 20, control: bool = True) -> Estimate:
+    """Viscosity ``-<P_xy> / rate`` of a sheared run [energy time / volume].
+
+    The pressure holds the kinetic, conservative and drag parts. The random part has mean
+    zero; where it was recorded too (``observe=dpd.shear_record``), as much of it as lowers
+    the variance is subtracted, a control variate.
+
+    Args:
+        trajectory: a run with ``flow=dpd.shear(rate)``, one or replicas.
+        skip: share of the frames left out at the start.
+        blocks: pieces for the error bar.
+        control: use the random part where recorded.
+
+    Raises ValueError for a run without shear, or a batch that scans over numbers.
+    """
+    rate = _one_rate(trajectory)
+    frames = _later(trajectory, skip)
+    series = -frames["pressure_tensor"][..., 0, 1] / rate
+    if control and "pressure_random" in frames:
+        series = controlled(series, -frames["pressure_random"][..., 0, 1] / rate, blocks)
+    return block_average(series, blocks)
+
+
+def controlled(series, noise, blocks: int = 20):
+    """``series`` less the multiple of the zero-mean ``noise`` that explains most of its variance.
+
+    The multiple is fitted to block means, with long blocks the relation of the integrals.
+    """
+    x, y = (_block_means(a, max(blocks, 32)) for a in (noise, series))
+    spread = np.mean((x - x.mean()) ** 2)
+    factor = np.mean((x - x.mean()) * (y - y.mean())) / spread if spread > 0 else 0.0
+    return series - factor * noise
+
+
+def _block_means(series, blocks):
+    series = np.atleast_2d(np.asarray(series, float))
+    each = max(1, min(series.shape[1], blocks // series.shape[0]))
+    length = series.shape[1] // each
+    return series[:, : each * length].reshape(-1, length).mean(1)
+
+
+def shear_record(fluid, state) -> dict:
+    """The standard record and the random stress; wrap it in ``dpd.mean`` for least noise."""
+    return standard(fluid, state) | {"pressure_random": stresses(fluid, state)["pressure_random"]}
+
+
+def green_kubo_record(fluid, state) -> dict:
+    """What :func:`green_kubo` needs of each frame."""
+    parts = stresses(fluid, state)
+    smooth = parts["pressure_kinetic"] + parts["pressure_conservative"]
+    return {
+        "flux": smooth + parts["pressure_drag"],
+        "reversed_flux": smooth - parts["pressure_drag"],
+        "instantaneous_viscosity": instantaneous_viscosity(fluid, state),
+        "temperature": temperature(fluid, state),
+    }
+
+
+def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16) -> Estimate:
+    """Viscosity from the stress autocorrelation of a fluid in equilibrium.
+
+    ``eta_inf + V/kT integral_0^window <[K + C - D](0) [K + C + D](t)> dt`` with the flipped
+    sign of the drag at the earlier time (it is odd under time reversal) and the part
+    ``eta_inf`` that acts without delay (Jung & Schmid 2016). Averaged over all
+    orientations of the stress (Daivis & Evans 1994).
+
+    Args:
+        trajectory: a run with ``observe=dpd.green_kubo_record`` and frames close together
+            (at most 0.05 time units), one or replicas.
+        window: upper limit of the integral [time]; a few correlation times.
+        skip: share of the frames left out at the start.
+        blocks: independent pieces for the error bar.
+    """
+    frames = _later(trajectory, skip, need="flux")
+    dt, volume, kT = _constants(trajectory)
+    lags = max(1, round(window / (dt * trajectory.every)))
+    early, late = _traceless(frames["reversed_flux"]), _traceless(frames["flux"])
+    delayed = []
+    for k in _pieces(early.shape, blocks, lags):
+        correlation = _correlate(early[k], late[k], lags)
+        correlation[0] *= 0.5
+        correlation[-1] *= 0.5
+        delayed.append(correlation.sum() * dt * trajectory.every * volume / kT)
+    instant = block_average(frames["instantaneous_viscosity"], blocks)
+    later = from_replicas(delayed)
+    return Estimate(instant.value + later.value, math.hypot(instant.error, later.error), later.blocks)
+
+
+einstein_helfand_record = [
+    integral(lambda fluid, state: {"flux_integral": total_pressure(fluid, state)}),
+    Recorder(lambda fluid, state: {"temperature": temperature(fluid, state)}),
+]
+"""What :func:`einstein_helfand` needs: the whole stress, summed over every step."""
+
+
+def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: float = 0.0, blocks: int = 16) -> Estimate:
+    """Viscosity from the growth of the integrated stress of a fluid in equilibrium.
+
+    The slope of ``V <(integral_0^t P_xy)^2> / 2 kT`` between ``start`` and ``window``
+    (Helfand 1960), all orientations, random part included: no decomposition, and the cost
+    does not depend on the size of the box.
+
+    Args:
+        trajectory: a run with ``observe=dpd.einstein_helfand_record``, one or replicas.
+        window, start: times between which the slope is taken [time].
+        skip, blocks: as in :func:`green_kubo`.
+    """
+    frames = _later(trajectory, skip, need="flux_integral")
+    dt, volume, kT = _constants(trajectory)
+    interval = dt * trajectory.every
+    first, last = round(start / interval), max(round(window / interval), round(start / interval) + 1)
+    jumps = _traceless(frames["flux_integral"])
+    slopes = []
+    for k in _pieces(jumps.shape, blocks, last):
+        walk = np.concatenate([np.zeros_like(jumps[k][:1]), np.cumsum(jumps[k], axis=0)])
+        growth = [np.mean(np.sum((walk[m:] - walk[:-m]) ** 2, axis=-1)) if m else 0.0 for m in (first, last)]
+        slopes.append(volume / (2 * kT) * (growth[1] - growth[0]) / ((last - first) * interval))
+    return from_replicas(slopes)
+
+
+@functools.cache
+def sine_record(waves: int = 1):
+    """Record the amplitude of the velocity wave ``U sin(2 pi waves y / L_y)``."""
+
+    def observe(fluid, state):
+        phase = 2 * jnp.pi * waves * state.position[:, 1] / state.box.lengths[1]
+        return {
+            "wave_velocity": 2 * jnp.mean(state.velocity[:, 0] * jnp.sin(phase)),
+            "temperature": temperature(fluid, state),
+            "momentum": momentum(fluid, state),
+        }
+
+    return mean(observe)
+
+
+def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> Estimate:
+    """Viscosity at wavenumber k from the flow under ``dpd.sinusoidal_force``.
+
+    ``density amplitude / (U k^2)``. Take the result at two wavelengths to k = 0 with
+    ``extrapolate``: kinetic corrections are of order k^2 (9 % at L = 10).
+
+    Raises ValueError for a run without that force.
+    """
+    numbers = getattr(trajectory.flow, "numbers", {})
+    if "wavenumber" not in numbers:
+        raise ValueError("this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)")
+    velocity = block_average(_later(trajectory, skip, need="wave_velocity")["wave_velocity"], blocks)
+    density = trajectory.final.n / _constants(trajectory)[1]
+    eta = density * float(numbers["amplitude"]) / (velocity.value * float(numbers["wavenumber"]) ** 2)
+    return Estimate(eta, abs(eta) * velocity.error / abs(velocity.value), velocity.blocks)
+
+
+def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
+    """Intercept at ``x = 0`` of the straight line through estimates, weighted by their errors.
+
+    For k^2 -> 0, dt -> 0 or rate^2 -> 0. Raises ValueError for fewer than two points.
+    """
+    if len(x) < 2 or len(x) != len(estimates):
+        raise ValueError(f"{len(x)} abscissae for {len(estimates)} estimates; a line needs two of each")
+    design = np.stack([np.ones(len(x)), np.asarray(x, float)], 1) / np.array([[e.error] for e in estimates])
+    covariance = np.linalg.inv(design.T @ design)
+    solution = covariance @ design.T @ np.array([e.value / e.error for e in estimates])
+    return Estimate(float(solution[0]), float(np.sqrt(covariance[0, 0])), len(x))
+
+
+def _one_rate(trajectory) -> float:
+    rate = np.unique(np.asarray(trajectory.flow.rate))
+    if trajectory.is_batch and (trajectory.fluid.is_batch or rate.size > 1):
+        raise ValueError("the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]")
+    if rate[0] == 0:
+        raise ValueError("this run had no shear; run it with flow=dpd.shear(rate)")
+    return float(rate[0])
+
+
+def _later(trajectory, skip, need=None) -> dict:
+    """Frames after the first ``skip`` share of them."""
+    if need is not None and need not in trajectory.frames:
+        raise ValueError(f"the run recorded no {need!r}; see the table in dpdjax.measure.viscosity for what to observe")
+    axis = 1 if trajectory.is_batch else 0
+    count = np.shape(trajectory.frames["time"])[axis]
+    first = int(skip * count)
+    return {k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:] for k, v in trajectory.frames.items()}
+
+
+def _constants(trajectory):
+    """Time step, volume and kT of replicas of one system."""
+    if trajectory.is_batch and trajectory.fluid.is_batch:
+        raise ValueError("the members of this batch differ; measure each of run.members()")
+    lengths = np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]
+    return float(np.ravel(trajectory.dt)[0]), float(lengths.prod()), float(trajectory.fluid.kT)
+
+
+def _traceless(tensors):
+    """Symmetric traceless parts as 9 numbers, scaled so that their products sum to one P_xy P_xy.
+
+    Isotropy makes the sum over all nine products ten times the product of one off-diagonal.
+    """
+    tensors = np.asarray(tensors, float)
+    symmetric = 0.5 * (tensors + np.swapaxes(tensors, -1, -2))
+    trace = np.trace(symmetric, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) / 3
+    flat = (symmetric - trace).reshape(*tensors.shape[:-2], 9) / math.sqrt(10.0)
+    return flat if flat.ndim == 3 else flat[None]
+
+
+def _pieces(shape, blocks, lags):
+    """Index of each independent piece of (replicas, frames, ...), none shorter than 4 lags."""
+    replicas, frames = shape[:2]
+    each = max(1, min(-(-blocks // replicas), frames // (4 * lags)))
+    length = frames // each
+    if replicas * each < 2 or length <= lags:
+        raise ValueError(f"{frames} frames of {replicas} replicas are too few for a window of {lags}: run longer")
+    return [(r, slice(b * length, (b + 1) * length)) for r in range(replicas) for b in range(each)]
+
+
+def _correlate(early, late, lags):
+    """Sum over components of ``<early(0) late(t)>`` for t = 0 .. lags frames, by FFT."""
+    count = early.shape[0]
+    size = 1 << (2 * count - 1).bit_length()
+    product = np.conj(np.fft.rfft(early, size, axis=0)) * np.fft.rfft(late, size, axis=0)
+    sums = np.fft.irfft(product.sum(-1), size)[: lags + 1]
+    return sums / (count - np.arange(lags + 1))

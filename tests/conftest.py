@@ -1,0 +1,81 @@
+"""Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run."""
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+import pytest
+
+import dpdjax as dpd
+
+SIDE, SKIN = 4.2, 0.2
+"""The smallest box whose lists come from cells at every tilt: 222 beads."""
+
+
+@pytest.fixture(scope="session")
+def water():
+    """a = 25, gamma = 4.5: the standard DPD fluid."""
+    return dpd.fluid(
+        conservative=[dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+        drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def ideal():
+    """a = 0, gamma = 5: beads that only rub."""
+    return dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0)], kT=1.0)
+
+
+@pytest.fixture(scope="session")
+def key():
+    return jax.random.key(7)
+
+
+@pytest.fixture(scope="session")
+def simulate():
+    """``dpd.simulate``, compiled; shared, so that equal shapes compile once for all tests."""
+    return jax.jit(dpd.simulate, static_argnames=("plan", "observe", "remat"))
+
+
+@pytest.fixture(scope="session")
+def long():
+    """200 steps: what equilibrates a small box, for every test that needs as many."""
+    return dpd.Plan(frames=50, every=4)
+
+
+@pytest.fixture(scope="session")
+def ten():
+    """Ten steps: few enough that rounding has not grown."""
+    return dpd.Plan(frames=2, every=5)
+
+
+@pytest.fixture(scope="session")
+def fresh(water, key):
+    """Random beads of water, no step run."""
+    return dpd.initial_state(water, key, box=SIDE, density=3.0, skin=SKIN)
+
+
+@pytest.fixture(scope="session")
+def equilibrated(simulate, fresh, key, long):
+    """A maker of small states: ``equilibrated(fluid, flow=None)``."""
+
+    def equilibrate(fluid, flow=None):
+        run = simulate(fluid, fresh, key, 0.01, long, flow)
+        assert run.final.status == 0
+        return run.final
+
+    return equilibrate
+
+
+@pytest.fixture(scope="session")
+def quiet_water(equilibrated, water):
+    return equilibrated(water)
+
+
+@pytest.fixture(scope="session")
+def sheared_water(equilibrated, water):
+    """Water sheared at rate 1, the box at strain 2 (wrapped twice)."""
+    return equilibrated(water, dpd.shear(1.0))

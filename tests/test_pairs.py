@@ -1,0 +1,209 @@
+"""Pairs: nothing counted twice, nothing missed, nothing pushed without pushing back."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dpdjax as dpd
+from dpdjax.engine import box as boxes
+from dpdjax.engine import neighbours as lists
+from dpdjax.engine.forces import pair_force
+from dpdjax.engine.simulate import advance
+
+BOXES = [
+    ((4.2, 4.2, 4.2), 222),
+    ((9.0, 3.7, 4.0), 300),
+    ((4.1, 8.0, 3.7), 200),
+    ((3.9, 4.0, 9.0), 260),
+    ((2.7, 2.7, 2.7), 60),
+    ((3.1, 2.6, 5.0), 210),
+]
+TILTS = [-0.5, -0.31, -1e-3, 0.0, 0.2, 0.5]
+
+
+def distances(lengths, strain, position):
+    """Nearest-image distances of wrapped positions by trying 45 images of each pair, in plain numpy."""
+    lx, ly, lz = lengths
+    x, y, z = np.meshgrid(np.arange(-2, 3), np.arange(-1, 2), np.arange(-1, 2))
+    images = np.stack([x * lx + y * strain * ly, y * ly, z * lz], -1).reshape(-1, 3)
+    d = position[:, None] - position[None]
+    nearest = np.full(d.shape[:2], np.inf)
+    for image in images:
+        np.minimum(nearest, np.einsum("ija,ija->ij", d + image, d + image), out=nearest)
+    return np.sqrt(nearest)
+
+
+def pairs_within(cut, distance):
+    i, j = np.nonzero(np.triu(distance < cut, 1))
+    return set(zip(i.tolist(), j.tolist()))
+
+
+def listed(idx, n):
+    """The pairs of a list as a set; fails where one is listed twice or the wrong way round."""
+    idx = np.asarray(idx)
+    i, j = idx[:, idx[0] < n]
+    assert np.all(i < j)
+    pairs = set(zip(i.tolist(), j.tolist()))
+    assert len(pairs) == len(i)
+    return pairs
+
+
+def uniform(rng, lengths, n):
+    return rng.random((n, 3)) * lengths
+
+
+def clustered(rng, lengths, n):
+    """A third of the beads in each of two blobs, one of them on a corner."""
+    blob = rng.normal(size=(n, 3)) * 0.3 + np.where(np.arange(n)[:, None] % 3 == 0, 0.0, 0.4 * np.asarray(lengths))
+    return np.where(np.arange(n)[:, None] % 3 == 2, uniform(rng, lengths, n), blob)
+
+
+def on_boundaries(rng, lengths, n):
+    """Coordinates exactly on faces and cell edges, and one rounding error beside them."""
+    edge = rng.integers(0, 13, (n, 3)) / 12 * lengths
+    nudge = rng.choice([-1e-16, 0.0, 1e-16], (n, 3))
+    return np.where(rng.random((n, 3)) < 0.6, edge + nudge, uniform(rng, lengths, n))
+
+
+@pytest.fixture(scope="module")
+def build():
+    return jax.jit(lists.build_pairs, static_argnums=0)
+
+
+@pytest.mark.parametrize("lengths, n", BOXES, ids=str)
+def test_list_equals_all_pairs(lengths, n, build):
+    planned = lists.plan_grid(n, lengths, 1.0, 0.15)
+    roomy = dataclasses.replace(planned, window=-(-n // 32) * 32, capacity=n * (n - 1) // 2)
+    rng = np.random.default_rng(n)
+    for tilt in TILTS:
+        strain = tilt * lengths[0] / lengths[1]
+        box = boxes.Box(jnp.asarray(lengths), jnp.asarray(strain))
+        for place in (uniform, clustered, on_boundaries):
+            position = np.asarray(boxes.wrap(box, jnp.asarray(place(rng, lengths, n)))[0])
+            idx, overflow = build(roomy, box, position)
+            found = listed(idx, n)
+            assert not any(overflow)
+            true = distances(lengths, strain, position)
+            assert pairs_within(1.15 - 1e-12, true) <= found <= pairs_within(1.15 + 1e-12, true)
+
+
+def test_boxes_of_the_list_test_use_cells_and_all_pairs():
+    cells = [lists.plan_grid(n, lengths, 1.0, 0.15).cells for lengths, n in BOXES]
+    assert [c is None for c in cells] == [False, False, False, False, True, True]
+
+
+@pytest.mark.parametrize("lengths, n", BOXES[:1] + BOXES[4:5], ids=["cells", "all pairs"])
+def test_list_too_short_raises_the_overflow_flags(lengths, n, build):
+    grid, box = lists.plan_grid(n, lengths, 1.0, 0.15), boxes.box(lengths)
+    grid = dataclasses.replace(grid, capacity=n * (n - 1) // 4)
+    even = jnp.asarray(uniform(np.random.default_rng(0), lengths, n))
+    assert [bool(o) for o in build(grid, box, even)[1]] == [False, False]
+    assert [bool(o) for o in build(grid, box, 0.2 * even)[1]] == [True, grid.cells is not None]
+
+
+def test_pair_forces_sum_to_zero(water, quiet_water, sheared_water, key):
+    for state, rate in ((quiet_water, 0.0), (sheared_water, 1.0)):
+        force, _ = jax.jit(pair_force)(water, state, state.velocity, rate, key, 0.01)
+        assert jnp.max(jnp.abs(force)) > 10
+        assert jnp.max(jnp.abs(jnp.sum(force, axis=0))) < 1e-11
+
+
+@pytest.mark.parametrize("flow", [None, dpd.shear(1.0)], ids=["quiet", "sheared"])
+def test_momentum_is_conserved_over_a_run(flow, water, fresh, simulate, key, long):
+    push = dataclasses.replace(fresh, velocity=fresh.velocity + jnp.array([[1.0, 0.0, -2.0]]))
+    momentum = simulate(water, push, key, 0.01, long, flow).frames["momentum"]
+    assert jnp.max(jnp.abs(momentum - push.n * jnp.array([[1.0, 0.0, -2.0]]))) < 1e-10
+
+
+def watch(fluid, state):
+    """What it takes to check a list afterwards."""
+    chosen = state.neighbours[0].list
+    return {
+        "position": state.position,
+        "strain": state.box.strain,
+        "idx": chosen.idx,
+        "built_at": chosen.reference_position,
+    }
+
+
+@pytest.mark.parametrize("kT", [1.0, 25.0])
+def test_no_pair_is_missed_in_fast_shear(kT, water, sheared_water, simulate, key):
+    run = simulate(water.set(kT=kT), sheared_water, key, 0.01, dpd.Plan(150), dpd.shear(2.5), observe=watch)
+    seen = jax.tree.map(np.asarray, run.frames)
+    assert run.final.status == 0
+    assert np.sum(np.abs(np.diff(seen["strain"])) > 0.5) >= 3, "the strain wraps several times"
+    assert np.any(np.all(seen["built_at"][1:] == seen["built_at"][:-1], axis=(1, 2))), "lists are reused"
+    lengths = np.asarray(run.final.box.lengths)
+    for f in range(0, 150, 5):
+        close = pairs_within(1.0, distances(lengths, seen["strain"][f], seen["position"][f]))
+        assert close <= listed(seen["idx"][f], run.final.n)
+
+
+@pytest.mark.parametrize("lengths", [(4.2, 4.2, 4.2), (9.0, 4.0, 5.0), (4.0, 9.0, 5.0)], ids=str)
+def test_displacement_equals_that_of_jax_md(lengths):
+    from jax_md import space
+
+    rng = np.random.default_rng(3)
+    direction = rng.normal(size=(500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    separation = direction * rng.uniform(0, 0.5 * boxes.narrowest(lengths, True).min(), (500, 1))
+    origin = uniform(rng, lengths, 500)
+    for tilt in TILTS:
+        box = boxes.Box(jnp.asarray(lengths), jnp.asarray(tilt * lengths[0] / lengths[1]))
+        ra, rb = (boxes.wrap(box, jnp.asarray(r))[0] for r in (origin + separation, origin))
+        ours = boxes.displacement(box, ra, rb)
+        displacement, _ = space.periodic_general(boxes.matrix(box), fractional_coordinates=True)
+        with jax.numpy_rank_promotion("allow"):
+            theirs = jax.vmap(displacement)(boxes.fractional(box, ra), boxes.fractional(box, rb))
+        np.testing.assert_allclose(ours, separation, atol=1e-13)
+        np.testing.assert_allclose(ours, theirs, atol=1e-13)
+
+
+def test_a_batch_keeps_the_lists_that_are_not_stale(quiet_water):
+    state = quiet_water
+    shift = jnp.zeros_like(state.position).at[3, 0].set(1.0)
+    position = jnp.stack([state.position + 0.01 * shift, state.position + 0.5 * shift])
+    old = lists.allocate(state.neighbours[0].grid, state.box, state.position)
+    new = jax.vmap(lists.update, (None, None, 0))(old, state.box, position)
+    assert jnp.array_equal(new.list.idx[0], old.list.idx)
+    assert jnp.array_equal(new.list.reference_position[0], state.position)
+    assert jnp.array_equal(new.list.reference_position[1], position[1])
+    assert not jnp.array_equal(new.list.idx[1], old.list.idx)
+
+
+def inner(value):
+    """The jaxprs inside the parameters of an equation."""
+    if hasattr(value, "jaxpr"):
+        yield value.jaxpr
+    elif hasattr(value, "eqns"):
+        yield value
+    elif isinstance(value, (tuple, list)):
+        for one in value:
+            yield from inner(one)
+
+
+def conds_in_loops(jaxpr, looping=False):
+    """How many ``cond`` a program holds inside its loops, however deep."""
+    total = 0
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        total += looping and name == "cond"
+        for value in eqn.params.values():
+            total += sum(conds_in_loops(j, looping or name == "scan") for j in inner(value))
+    return total
+
+
+@pytest.mark.parametrize("batches", [0, 1, 2])
+def test_list_updates_stay_a_branch_under_vmap(batches, water, quiet_water, key):
+    run = lambda gamma, key: advance(
+        water.set(gamma=gamma), quiet_water, key, 0.01, dpd.Plan(2, 5), dpd.shear(1.0), None
+    )
+    gamma, keys = 4.5, key
+    if batches > 0:
+        run, keys = jax.vmap(run, (None, 0)), jax.random.split(key, 3)
+    if batches > 1:
+        run, gamma = jax.vmap(run, (0, None)), jnp.array([2.0, 4.5])
+    assert conds_in_loops(jax.make_jaxpr(run)(gamma, keys).jaxpr) >= 1
