@@ -9,7 +9,7 @@ _HOMES = {
     "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag"],
     "dpdjax.model.term": ["Term", "term"],
     "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid"],
-    "dpdjax.model.units": ["Units", "water", "water_units"],
+    "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
     "dpdjax.engine.flow": ["shear", "body_force", "sinusoidal_force", "constant_field"],
     "dpdjax.engine.state": ["State", "initial_state", "grow", "suggest_dt", "suggest_skin"],
@@ -26,10 +26,10 @@ _HOMES = {
         "einstein_helfand", "einstein_helfand_record", "extrapolate", "green_kubo", "green_kubo_record",
         "shear_record", "shear_viscosity", "sine_record", "sinusoidal_viscosity",
     ],
-    "dpdjax.calibrate.calibrate": ["Calibration", "calibrate"],
-    "dpdjax.run": ["run"],
+    "dpdjax.calibrate.calibrate": ["Calibration", "TargetError", "calibrate", "measure_viscosity"],
+    "dpdjax.run": ["RunError", "run"],
     "dpdjax.io": ["load_state", "save_state"],
-    "dpdjax.plot": ["plot_box", "plot_calibration"],
+    "dpdjax.plot": ["plot_box", "plot_calibration", "plot_convergence"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)

@@ -83,7 +83,28 @@ def thermal_time(fluid) -> float:
     return reach * math.sqrt(float(jnp.min(fluid.mass)) / float(fluid.kT))
 
 
-def measure(bench: Bench, fluid, error: float, settle: float, most: int, report) -> Estimate:
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """A measured number and how it came about.
+
+    Attributes:
+        estimate: the number with its standard error.
+        series: its values over time in each box, (boxes, frames).
+        time: time of each frame since the start of the measurement.
+        dt, rate: time step and shear rate.
+        particle_steps, seconds: what it took.
+    """
+
+    estimate: Estimate
+    series: Any
+    time: Any
+    dt: float
+    rate: float
+    particle_steps: int
+    seconds: float = math.nan
+
+
+def measure(bench: Bench, fluid, error: float, settle: float, most: int, report) -> Measurement:
     """Run until the mean of the goal has the wanted standard error.
 
     Args:
@@ -108,7 +129,11 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
         report(f"{bench.goal.name} {estimate}, wanted error {error:.2g}")
         enough = len(series) * bench.state.position.shape[0] >= MIN_BLOCKS
         if (enough and estimate.error <= error) or spent >= most:
-            return estimate
+            break
+    count = len(series) * PIECE.frames
+    times = dt * PIECE.every * np.arange(1, count + 1)
+    values = bench.goal.scale * np.concatenate(series, axis=1)
+    return Measurement(estimate, values, times, dt, float(bench.goal.flow.rate), bench.steps)
 
 
 def _extend(bench, fluid, dt):

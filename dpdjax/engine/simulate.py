@@ -11,7 +11,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.record import Recorder, recorders
-from dpdjax.engine.state import State
+from dpdjax.engine.state import State, damping_rate, suggest_dt
 from dpdjax.engine.step import started, step
 from dpdjax.model.fluid import Fluid
 
@@ -193,16 +193,16 @@ def check_run(fluid, state, key, dt, flow):
 
 def check_dt(fluid, state, dt):
     """Refuse a time step at which the drag of a bead would overshoot (dt omega above 1)."""
-    from dpdjax.engine.state import damping_rate, suggest_dt
-
     if not is_concrete(fluid, dt, state.box.lengths):
         return
-    fluid = jax.tree.map(np.max, fluid)
+    # numpy all the way: under jit even constants would be staged.
+    fluid = jax.tree.map(lambda leaf: np.max(np.asarray(leaf)), fluid)
+    fluid = dataclasses.replace(fluid, mass=fluid.mass[None])
+    largest = float(np.max(np.asarray(dt)))
     density = state.n / float(np.prod(np.asarray(state.box.lengths)))
-    fluid = dataclasses.replace(fluid, mass=np.asarray(fluid.mass)[None])
-    worst = float(np.max(dt)) * damping_rate(fluid, density)
+    worst = largest * damping_rate(fluid, density)
     if worst > 0.5:
         raise ValueError(
-            f"dt {float(np.max(dt)):.4g} is too large for the drag: dt x damping rate is {worst:.3g}, at most 0.5 is "
-            f"stable; use dt = {suggest_dt(fluid, density):.2g} (temperature error 0.5 %) "
+            f"dt {largest:.4g} is too large for the drag: dt x damping rate is {worst:.3g}, at most 0.5 is stable; "
+            f"use dt = {suggest_dt(fluid, density):.2g} (temperature error 0.5 %)"
         )

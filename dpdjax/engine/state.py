@@ -217,7 +217,9 @@ def _volume_integral(term) -> float:
     """Integral of a law over a sphere of its reach, by the midpoint rule."""
     coefficients, reach = term.between(np.max)
     r = (np.arange(400) + 0.5) / 400 * float(reach)
-    return float(np.sum(4 * np.pi * r**2 * np.asarray(term.law(jnp.asarray(r), **coefficients)))) * float(reach) / 400
+    with jax.ensure_compile_time_eval():
+        values = np.asarray(term.law(jnp.asarray(r), **coefficients))
+    return float(np.sum(4 * np.pi * r**2 * values)) * float(reach) / 400
 
 
 def suggest_skin(fluid: Fluid, dt) -> float:

@@ -1,0 +1,166 @@
+"""The command line: ``dpdjax viscosity`` and ``dpdjax calibrate``."""
+
+import argparse
+import json
+import math
+import sys
+import time
+
+
+def main(argv=None) -> int:
+    """Entry point; returns the exit status. Heavy imports wait until the work starts."""
+    arguments = _parser().parse_args(argv)
+    try:
+        result, figure = arguments.work(arguments)
+    except (ValueError, TypeError) as error:
+        print(f"dpdjax {arguments.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"dpdjax {arguments.command}: interrupted", file=sys.stderr)
+        return 130
+    if arguments.json:
+        print(json.dumps(result))
+    else:
+        print(_readable(result))
+    if arguments.plot:
+        figure().savefig(arguments.plot, dpi=150, bbox_inches="tight")
+        print(f"wrote {arguments.plot}", file=sys.stderr)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="dpdjax", description="Dissipative particle dynamics: the viscosity of a friction, the friction of a viscosity."
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+
+    viscosity = commands.add_parser("viscosity", help="the shear viscosity of a DPD fluid, with an error bar")
+    _common(viscosity)
+    viscosity.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
+    viscosity.set_defaults(work=_viscosity)
+
+    calibrate = commands.add_parser("calibrate", help="the friction gamma that gives a wanted viscosity")
+    _common(calibrate)
+    calibrate.add_argument("--viscosity", type=float, required=True, help="the wanted viscosity")
+    calibrate.add_argument("--gamma", type=float, default=None, help="first guess (default: from the drag stress)")
+    calibrate.add_argument("--branch", choices=("upper", "lower"), default="upper", help="of two gammas (default: upper)")
+    calibrate.set_defaults(work=_calibrate)
+    return parser
+
+
+def _common(parser):
+    parser.add_argument("--density", type=float, default=3.0, help="beads per volume (default: 3)")
+    parser.add_argument("--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)")
+    parser.add_argument("--kT", type=float, default=1.0, help="thermal energy (default: 1)")
+    parser.add_argument("--dt", type=float, default=None, help="time step (default: from the drag, temperature error 0.5 %%)")
+    parser.add_argument("--rate", type=float, default=None, help="shear rate (default: bias below half the tolerance)")
+    parser.add_argument("--box", type=float, default=8.0, help="side of each of the boxes (default: 8)")
+    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
+    parser.add_argument("--tolerance", type=float, default=0.02, help="relative; the standard error is half (default: 0.02)")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    parser.add_argument("--plot", metavar="FILE.png", default=None, help="draw the result into a file")
+
+
+def _water(arguments, gamma):
+    import dpdjax as dpd
+
+    return dpd.fluid(
+        conservative=[dpd.term(dpd.soft_repulsion, a=arguments.repulsion, r_c=1.0)],
+        drag=[dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)],
+        kT=arguments.kT,
+    )
+
+
+def _reporter():
+    began = time.monotonic()
+    return lambda text: print(f"[{time.monotonic() - began:5.0f} s] {text}", file=sys.stderr, flush=True)
+
+
+def _calibrate(arguments):
+    import jax
+
+    import dpdjax as dpd
+
+    fit = dpd.calibrate(
+        _water(arguments, 4.5 if arguments.gamma is None else arguments.gamma),
+        "gamma",
+        viscosity=arguments.viscosity,
+        key=jax.random.key(arguments.seed),
+        density=arguments.density,
+        tolerance=arguments.tolerance,
+        branch=arguments.branch,
+        guess=arguments.gamma,
+        dt=arguments.dt,
+        rate=arguments.rate,
+        box=arguments.box,
+        report=_reporter(),
+    )
+    result = {
+        "gamma": fit.value,
+        "gamma_error": fit.error,
+        "target": fit.target,
+        "viscosity": fit.measured.value,
+        "viscosity_error": fit.measured.error,
+        "dt": fit.dt,
+        "rate": fit.rate,
+        "seconds": round(fit.seconds, 1),
+        "particle_steps": fit.particle_steps,
+        "history": [
+            {
+                "gamma": math.exp(p.x),
+                "viscosity": p.value.value,
+                "viscosity_error": p.value.error,
+                "slope": p.slope.value,
+                "slope_error": p.slope.error,
+            }
+            for p in fit.history
+        ],
+    }
+    return result, lambda: dpd.plot_calibration(fit)
+
+
+def _viscosity(arguments):
+    import jax
+
+    import dpdjax as dpd
+
+    measured = dpd.measure_viscosity(
+        _water(arguments, arguments.gamma),
+        key=jax.random.key(arguments.seed),
+        density=arguments.density,
+        tolerance=arguments.tolerance,
+        dt=arguments.dt,
+        rate=arguments.rate,
+        box=arguments.box,
+        report=_reporter(),
+    )
+    result = {
+        "gamma": arguments.gamma,
+        "gamma_error": 0.0,
+        "viscosity": measured.estimate.value,
+        "viscosity_error": measured.estimate.error,
+        "dt": measured.dt,
+        "rate": measured.rate,
+        "seconds": round(measured.seconds, 1),
+        "particle_steps": measured.particle_steps,
+    }
+    return result, lambda: dpd.plot_convergence(measured)
+
+
+def _readable(result) -> str:
+    lines = []
+    if "target" in result:
+        lines.append(f"wanted viscosity {result['target']:g}")
+        lines.append(f"gamma     = {result['gamma']:.2f} +- {result['gamma_error']:.2f}")
+    else:
+        lines.append(f"gamma     = {result['gamma']:g}")
+    lines.append(f"viscosity = {result['viscosity']:.4f} +- {result['viscosity_error']:.4f}   (a fresh run at this gamma)")
+    lines.append(
+        f"dt {result['dt']:.3g}, shear rate {result['rate']:.3g}, "
+        f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s"
+    )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
