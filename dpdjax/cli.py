@@ -1,8 +1,10 @@
 """The command line: ``dpdjax viscosity`` and ``dpdjax calibrate``."""
 
 import argparse
+import importlib.util
 import json
 import math
+import os
 import sys
 import time
 
@@ -11,8 +13,9 @@ def main(argv=None) -> int:
     """Entry point; returns the exit status. Heavy imports wait until the work starts."""
     arguments = _parser().parse_args(argv)
     try:
+        _check_plot(arguments.plot)
         result, figure = arguments.work(arguments)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RuntimeError) as error:
         print(f"dpdjax {arguments.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -26,6 +29,17 @@ def main(argv=None) -> int:
         figure().savefig(arguments.plot, dpi=150, bbox_inches="tight")
         print(f"wrote {arguments.plot}", file=sys.stderr)
     return 0
+
+
+def _check_plot(path):
+    """Raise ValueError before the work where its picture could not be written."""
+    if path is None:
+        return
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError('--plot needs matplotlib: pip install "dpdjax[plot]"')
+    folder = os.path.dirname(path) or "."
+    if not os.path.isdir(folder):
+        raise ValueError(f"--plot {path}: there is no folder {folder}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -80,8 +94,9 @@ def _calibrate(arguments):
     import jax
 
     import dpdjax as dpd
+    from dpdjax.calibrate.calibrate import calibrate
 
-    fit = dpd.calibrate(
+    fit = calibrate(
         _water(arguments, 4.5 if arguments.gamma is None else arguments.gamma),
         "gamma",
         viscosity=arguments.viscosity,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import zipfile
 
 import jax
 import jax.numpy as jnp
@@ -40,13 +41,14 @@ def load_state(path) -> State:
 
     Raises ValueError where the file is no such state, or needs float64 that is off.
     """
-    with np.load(path) as file:
-        if "meta" not in file:
-            raise ValueError(f"{path} is not a dpdjax state: it has no 'meta'; write it with dpd.save_state")
-        meta = json.loads(str(file["meta"]))
-        if meta["format"] != FORMAT:
-            raise ValueError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
-        saved = {name: file[name] for name in file.files if name != "meta"}
+    try:
+        with np.load(path) as file:
+            saved = dict(file)
+        meta = json.loads(str(saved.pop("meta")))
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not a dpdjax state; write one with dpd.save_state") from error
+    if meta["format"] != FORMAT:
+        raise ValueError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
     if saved["position"].dtype == np.float64 and not jax.config.jax_enable_x64:
         raise ValueError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
     saved = {name: jnp.asarray(array) for name, array in saved.items()}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +51,7 @@ def run(
     state = _batched(state, key)
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
     check_run(fluid, one, key, dt, flow)
+    _check_members(fluid, dt, flow, key)
     state = _complete_lists(state)
     _refuse(fluid, state, key)
     observe = tuple(recorders(observe))
@@ -67,11 +69,12 @@ def run(
                 partial = _trajectory(state, pieces, numbers, plan, complete=False)
                 last = int(np.max(state.step))
                 raise RunError(f"stopped between steps {last} and {last + chunk.steps}: {broken}", partial)
-            state, done = after, done + chunk.frames
-            pieces.append(jax.device_get(frames))
+            frames = jax.device_get(frames)
+            # One statement, which Ctrl-C cannot split.
+            state, done, pieces = after, done + chunk.frames, [*pieces, frames]
             bar.update(chunk.steps)
     except KeyboardInterrupt:
-        tqdm.write(f"interrupted after {done} of {plan.frames} frames", file=bar.fp)
+        tqdm.write(f"interrupted after {done} of {plan.frames} frames", file=sys.stderr)
     finally:
         bar.close()
     return _trajectory(state, pieces, numbers, plan, complete=done == plan.frames)
@@ -105,6 +108,19 @@ def _chunk(fluid, dt, flow, lam, state, key, plan, observe):
         return one(fluid, dt, flow, state, key)
     axes = (fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes(), 0, 0)
     return jax.vmap(one, axes)(fluid, dt, flow, state, key)
+
+
+def _check_members(fluid, dt, flow, key):
+    """Raise unless there is a key for each member of a scan over numbers."""
+    axes = (fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes())
+    length = lambda axis, leaf: None if axis is None else len(leaf)
+    lengths = jax.tree.map(length, axes, (fluid, dt, flow), is_leaf=lambda axis: axis is None)
+    for members in jax.tree.leaves(lengths):
+        if key.shape != (members,):
+            raise ValueError(
+                f"numbers for {members} members and keys of shape {key.shape}: "
+                f"give {members} keys, jax.random.split(key, {members})"
+            )
 
 
 def _batched(state, key):

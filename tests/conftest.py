@@ -1,13 +1,12 @@
 """Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run."""
 
 import jax
-
-jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_rank_promotion", "raise")
-
 import pytest
 
 import dpdjax as dpd
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
 
 SIDE, SKIN = 4.2, 0.2
 """The smallest box whose lists come from cells at every tilt: 222 beads."""

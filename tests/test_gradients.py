@@ -73,10 +73,10 @@ def forward(stress):
 
 
 def along(start, leaf):
-    """The direction that moves one leaf of the tree by its own size, and nothing else."""
-    zero = jax.tree.map(jnp.zeros_like, start)
+    """The direction that moves one number by its own size, or every bead by 0.1, and nothing else."""
     signs = jnp.asarray(np.random.default_rng(0).choice([-1.0, 1.0], leaf.shape))
-    return jax.tree.map(lambda x, z: signs * x if x is leaf else z, start, zero)
+    move = signs * (leaf if leaf.ndim < 2 else 0.1)
+    return jax.tree.map(lambda x: move if x is leaf else jnp.zeros_like(x), start)
 
 
 @pytest.mark.parametrize("name", NUMBERS)

@@ -98,10 +98,11 @@ def test_boxes_of_the_list_test_use_cells_and_all_pairs():
 @pytest.mark.parametrize("lengths, n", BOXES[:1] + BOXES[4:5], ids=["cells", "all pairs"])
 def test_list_too_short_raises_the_overflow_flags(lengths, n, build):
     grid, box = lists.plan_grid(n, lengths, 1.0, 0.15), boxes.box(lengths)
-    grid = dataclasses.replace(grid, capacity=n * (n - 1) // 4)
     even = jnp.asarray(uniform(np.random.default_rng(0), lengths, n))
-    assert [bool(o) for o in build(grid, box, even)[1]] == [False, False]
-    assert [bool(o) for o in build(grid, box, 0.2 * even)[1]] == [True, grid.cells is not None]
+    overflow = lambda grid, position: [bool(flag) for flag in build(grid, box, position)[1]]
+    assert overflow(grid, even) == [False, False]
+    assert overflow(dataclasses.replace(grid, capacity=64), even) == [True, False]
+    assert any(overflow(grid, 0.2 * even))
 
 
 def test_pair_forces_sum_to_zero(water, quiet_water, sheared_water, key):
@@ -116,6 +117,16 @@ def test_momentum_is_conserved_over_a_run(flow, water, fresh, simulate, key, lon
     push = dataclasses.replace(fresh, velocity=fresh.velocity + jnp.array([[1.0, 0.0, -2.0]]))
     momentum = simulate(water, push, key, 0.01, long, flow).frames["momentum"]
     assert jnp.max(jnp.abs(momentum - push.n * jnp.array([[1.0, 0.0, -2.0]]))) < 1e-10
+
+
+def test_free_beads_fly_straight_through_a_sheared_box(water, sheared_water, simulate, key, long):
+    free, start, time = water.set(a=0.0, gamma=0.0), sheared_water.restarted(), 2.0
+    final = simulate(free, start, key, 0.01, long, dpd.shear(1.0)).final
+    lab = start.velocity.at[:, 0].add(1.0 * start.position[:, 1])
+    peculiar = start.velocity.at[:, 0].add(-1.0 * start.velocity[:, 1] * time)
+    off = boxes.displacement(final.box, final.position, start.position + lab * time)
+    np.testing.assert_allclose(final.velocity, peculiar, atol=1e-11)
+    np.testing.assert_allclose(off, 0, atol=1e-10)
 
 
 def watch(fluid, state):
@@ -140,6 +151,15 @@ def test_no_pair_is_missed_in_fast_shear(kT, water, sheared_water, simulate, key
     for f in range(0, 150, 5):
         close = pairs_within(1.0, distances(lengths, seen["strain"][f], seen["position"][f]))
         assert close <= listed(seen["idx"][f], run.final.n)
+
+
+def test_a_list_lasts_until_the_strain_could_bring_a_pair_within_reach(quiet_water):
+    state, cut = quiet_water, 1.2
+    old = lists.allocate(state.neighbours[0].grid, state.box, state.position)
+    for strain, stale in ((0.9 * 0.2 / cut, False), (1.1 * 0.2 / cut, True)):
+        box = state.box.strained(strain)
+        carried = state.position.at[:, 0].add(strain * state.position[:, 1])
+        assert lists.is_stale(old, box, boxes.wrap(box, carried)[0]) == stale
 
 
 @pytest.mark.parametrize("lengths", [(4.2, 4.2, 4.2), (9.0, 4.0, 5.0), (4.0, 9.0, 5.0)], ids=str)

@@ -10,11 +10,13 @@ import numpy as np
 
 from dpdjax.calibrate import experiment
 from dpdjax.calibrate.curve import Curve, Point, propose
-from dpdjax.calibrate.goal import Goal, custom_goal, pressure_goal, suggest_rate, viscosity_goal
-from dpdjax.checks import positive, prng_key
+from dpdjax.calibrate.goal import Goal, custom_goal, damped, pressure_goal, suggest_rate, viscosity_goal
+from dpdjax.checks import number, positive, prng_key
 from dpdjax.measure.statistics import Estimate
 
 MAX_POINTS = 10
+NEAR = 0.1
+"""A root or a minimum counts once a value was measured this near in ``ln parameter``: slopes alone may be biased."""
 SLOPE_SAMPLES = 8
 """Tangent windows per point, over all boxes."""
 
@@ -129,6 +131,7 @@ def calibrate(
     began = time.monotonic()
     key = prng_key(key)
     sign = _branch_sign(branch)
+    _check_goal(viscosity, pressure, target, observe)
     positive(tolerance, "tolerance")
     density = float(positive(density, "density"))
     guess = _first_guess(fluid, parameter, guess, viscosity, density)
@@ -146,10 +149,9 @@ def calibrate(
         points.append(_measure_point(bench, fluid, parameter, x, error, first=not points, most=max_particle_steps, say=say))
         say(f"{parameter} {math.exp(x):.4g}: {goal.name} {points[-1].value}, slope {points[-1].slope}")
         proposal = propose(points, goal.target, sign)
-        _refuse_unreachable(points, proposal, goal, parameter, sign)
+        _refuse_unreachable(points, proposal, goal, parameter)
         answer = proposal.curve.at(proposal.x)
-        near = min(abs(p.x - proposal.x) for p in points)
-        if proposal.why == "root" and near < 0.1 and answer.error <= wanted:
+        if proposal.why == "root" and _is_near(points, proposal) and answer.error <= wanted:
             break
         if len(points) >= MAX_POINTS or bench.steps > max_particle_steps:
             raise TargetError(_gave_up(points, goal, parameter, bench), tuple(points))
@@ -196,9 +198,7 @@ def measure_viscosity(
 
 def rough_viscosity(fluid, density: float) -> float:
     """Kinetic theory without correlations, ``rho D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
-    from dpdjax.engine.state import damping_rate
-
-    omega = damping_rate(fluid, density)
+    omega = damped(fluid, density)
     mass, kT = float(np.min(fluid.mass)), float(fluid.kT)
     reach = max(interaction.reach for interaction in fluid.interactions)
     # For zeta = gamma w^2: omega = 4 pi gamma rho r_c^3 / 90 m, and the drag stress is in the same ratio to it.
@@ -221,19 +221,28 @@ def _bench(fluid, goal, key, density, box, boxes, dt):
     return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, run=run, dt=dt)
 
 
-def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
-    given = [name for name, v in (("viscosity", viscosity), ("pressure", pressure), ("target", target)) if v is not None]
+def _check_goal(viscosity, pressure, target, observe):
+    """Raise unless just one number is wanted, and one that can be."""
+    asked = {"viscosity": viscosity, "pressure": pressure, "target": target}
+    given = {name: value for name, value in asked.items() if value is not None}
     if len(given) != 1:
-        raise ValueError(f"give one of viscosity=, pressure= or target= with observe=; got {given or 'none'}")
+        names = " and ".join(given) or "none"
+        raise ValueError(f"give one of viscosity=, pressure= or target= with observe=; got {names}")
+    ((name, value),) = given.items()
+    if name == "viscosity":
+        positive(value, name)
+    if number(value, name) == 0:
+        raise ValueError(f"{name} is 0, and no error bar is small relative to it; shift the number that is observed")
+    if name == "target" and observe is None:
+        raise ValueError("target= needs observe=, a function observe(fluid, state) of which it is the mean")
+
+
+def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
     if viscosity is not None:
-        positive(viscosity, "viscosity")
+        damped(fluid, density)
         rate = suggest_rate(fluid, density, viscosity, tolerance) if rate is None else float(positive(rate, "rate"))
         return viscosity_goal(viscosity, rate)
-    if pressure is not None:
-        return pressure_goal(pressure)
-    if observe is None:
-        raise ValueError("target= needs observe=, a function observe(fluid, state) of which it is the mean")
-    return custom_goal(target, observe, flow)
+    return pressure_goal(pressure) if pressure is not None else custom_goal(target, observe, flow)
 
 
 def _branch_sign(branch) -> int:
@@ -263,18 +272,21 @@ def drag_guess(fluid, viscosity: float, density: float) -> float:
     return 1575.0 * viscosity / (2 * math.pi * density**2 * reach**5)
 
 
-def _refuse_unreachable(points, proposal, goal, parameter, sign):
+def _refuse_unreachable(points, proposal, goal, parameter):
     """Raise where the measured minimum lies above the target."""
     if proposal.why != "minimum":
         return
-    lowest = min(points, key=lambda p: p.value.value)
-    close = abs(lowest.x - proposal.x) < 0.35 and len(points) >= 3
-    if close and lowest.value.value - goal.target > 3 * lowest.value.error:
+    lowest = proposal.curve.at(proposal.x)
+    if len(points) >= 3 and _is_near(points, proposal) and lowest.value - goal.target > 3 * lowest.error:
         raise TargetError(
             f"{goal.name} {goal.target:g} cannot be reached with {parameter}: the smallest measured is "
-            f"{lowest.value} at {parameter} = {math.exp(lowest.x):.3g}; ask for more than that, or lower kT",
+            f"{lowest} at {parameter} = {math.exp(proposal.x):.3g}; ask for more than that, or lower kT",
             tuple(points),
         )
+
+
+def _is_near(points, proposal) -> bool:
+    return min(abs(p.x - proposal.x) for p in points) < NEAR
 
 
 def _gave_up(points, goal, parameter, bench) -> str:

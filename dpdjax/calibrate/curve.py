@@ -108,7 +108,9 @@ def propose(points: list[Point], target: float, sign: int) -> Proposal:
     the bracket where one is known; otherwise step along the branch, or to the minimum when
     the target lies below everything on it.
     """
-    nearest = min(points, key=lambda p: abs(p.value.value - target))
+    # A point across the minimum may come as near in value: look on the branch first.
+    on_branch = [p for p in points if np.sign(p.slope.value) == sign]
+    nearest = min(on_branch or points, key=lambda p: abs(p.value.value - target))
     centre = nearest.x
     for _ in range(3):
         curve = fit(points, centre)
@@ -120,11 +122,11 @@ def propose(points: list[Point], target: float, sign: int) -> Proposal:
         # One point knows no curvature: do not follow its slope far.
         step = np.clip(centre - nearest.x, -0.5, 0.5) if len(points) == 1 else centre - nearest.x
         return Proposal(nearest.x + float(step), "root", curve)
+    curve = fit(points, min(points, key=lambda p: p.value.value).x)
     lowest = curve.minimum()
     if lowest is not None and curve(lowest) > target:
         return Proposal(lowest, "minimum", curve)
     # On the branch the sign of the step follows the residual; off it, cross to the branch.
-    on_branch = np.sign(nearest.slope.value) == sign
     uphill = nearest.value.value < target
     direction = sign if uphill or not on_branch else -sign
     rim = max(p.x for p in points) if direction > 0 else min(p.x for p in points)

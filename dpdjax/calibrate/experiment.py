@@ -71,7 +71,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, run, dt=None) -> Be
     thermal = thermal_time(fluid)
     weak = fluid.set(gamma=4.5 / thermal) if "gamma" in fluid.coefficients else fluid
     plan = Plan(10, 50)
-    state = run(weak, state, keys, min(0.01 * thermal, 2 * suggest_dt(weak, density)), plan, progress=False).final
+    state = _whole(run(weak, state, keys, min(0.01 * thermal, 2 * suggest_dt(weak, density)), plan, progress=False)).final
     bench = Bench(fluid, goal, density, state, keys, run, dt)
     bench.steps += plan.steps * bench.beads
     return bench
@@ -137,12 +137,19 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
 
 
 def _extend(bench, fluid, dt):
-    piece = bench.run(
+    piece = _whole(bench.run(
         fluid, bench.state, bench.keys, dt, PIECE, bench.goal.flow, observe=mean(bench.goal.observe), progress=False
-    )
+    ))  # fmt: skip
     bench.state = piece.final
     bench.steps += PIECE.steps * bench.beads
     return piece.frames
+
+
+def _whole(trajectory):
+    """The trajectory, unless Ctrl-C has cut it short: then the interrupt goes on."""
+    if not trajectory.complete:
+        raise KeyboardInterrupt
+    return trajectory
 
 
 def _estimate(series, noise, scale) -> Estimate:
@@ -173,13 +180,13 @@ def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) ->
     tangents = [[] for _ in names]
     for _ in range(windows):
         for k, name in enumerate(names):
-            slopes = _window(bench, fluid, name, dt, plan)
+            slopes = window_tangents(bench, fluid, name, dt, plan)
             tangents[k].append(bench.goal.scale * np.asarray(slopes, float))
             bench.steps += plan.steps * bench.beads
     return [plateau(np.concatenate(t)) for t in tangents]
 
 
-def _window(bench, fluid, name, dt, plan):
+def window_tangents(bench, fluid, name, dt, plan):
     """One window for all boxes, replayed with larger lists where one overflows."""
     for _ in range(8):
         slopes, after = _tangent(fluid, bench.state, bench.keys, dt, bench.goal.flow, name, plan, bench.goal.observe)

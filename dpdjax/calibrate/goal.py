@@ -65,6 +65,14 @@ def _named(observe):
     return lambda fluid, state: {"value": observe(fluid, state)}
 
 
+def damped(fluid, density: float) -> float:
+    """:func:`damping_rate`; raises ValueError where it is zero: shear would heat such a fluid for ever."""
+    omega = damping_rate(fluid, density)
+    if omega <= 0:
+        raise ValueError("this fluid has no drag, so no steady viscosity; give it a gamma above zero")
+    return omega
+
+
 HEATING = 2.5
 """Measured viscous heating over its mean-field estimate (2.2 at a = 0, 2.7 for the colloid solvent)."""
 RATE_LIMIT = 1.5
@@ -80,7 +88,7 @@ def suggest_rate(fluid, density: float, viscosity: float, tolerance: float = 0.0
     at gamma 42, kT 0.1 an excess temperature of 10 % changed the viscosity by 1 %.
     """
     kT, mass = float(fluid.kT), float(jnp.min(fluid.mass))
-    omega = damping_rate(fluid, density)
+    omega = damped(fluid, density)
     kinetic = 0.5 * density * kT / (mass * omega)
     share = min(1.0, max(kinetic / viscosity, 1.0 / 3.0))
     heating = min(0.5 * tolerance / share, 0.03)

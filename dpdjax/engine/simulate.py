@@ -31,7 +31,8 @@ class Plan:
     def __post_init__(self):
         for name in ("frames", "every"):
             value = getattr(self, name)
-            if isinstance(value, bool) or int(value) != value or value < 1:
+            whole = isinstance(value, (int, float, np.number)) and value % 1 == 0
+            if isinstance(value, bool) or not whole or value < 1:
                 raise ValueError(f"Plan {name} is {value!r}; it must be a whole number of at least 1")
             object.__setattr__(self, name, int(value))
 
@@ -110,6 +111,13 @@ def simulate(
     every gradient; ``dpd.run`` repairs overflows instead.
     """
     check_run(fluid, state, key, dt, flow)
+    if not isinstance(plan, Plan):
+        raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
+    if fluid.is_batch or jnp.ndim(dt) or (flow is not None and flow.batch_axes() is not None):
+        raise ValueError(
+            "a number of the fluid, the flow or dt has one axis too many: a batch; "
+            "use jax.vmap, or dpd.run with a vector of keys"
+        )
     trajectory = advance(fluid, state, prng_key(key), dt, plan, flow, observe, lam, remat)
     return bits.poison(trajectory, trajectory.final.status)
 
@@ -178,6 +186,8 @@ def check_run(fluid, state, key, dt, flow):
         raise TypeError(f"fluid is a {type(fluid).__name__}; build one with dpd.fluid(...)")
     if not isinstance(state, State):
         raise TypeError(f"state is a {type(state).__name__}; build one with dpd.initial_state(...)")
+    if flow is not None and not hasattr(flow, "force"):
+        raise TypeError(f"flow is {flow!r}; give dpd.shear(rate), dpd.body_force(...) or None")
     prng_key(key)
     positive(dt, "dt")
     shape = jnp.shape(state.position)
@@ -196,8 +206,9 @@ def check_dt(fluid, state, dt):
     if not is_concrete(fluid, dt, state.box.lengths):
         return
     # numpy all the way: under jit even constants would be staged.
+    lightest = np.min(np.asarray(fluid.mass))
     fluid = jax.tree.map(lambda leaf: np.max(np.asarray(leaf)), fluid)
-    fluid = dataclasses.replace(fluid, mass=fluid.mass[None])
+    fluid = dataclasses.replace(fluid, mass=lightest[None])
     largest = float(np.max(np.asarray(dt)))
     density = state.n / float(np.prod(np.asarray(state.box.lengths)))
     worst = largest * damping_rate(fluid, density)

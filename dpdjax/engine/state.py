@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import is_concrete, positive, prng_key
+from dpdjax.checks import is_concrete, not_negative, positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
 from dpdjax.model.fluid import Fluid
@@ -139,6 +139,7 @@ def initial_state(
     velocity = _velocities(key, fluid.mass[species], fluid.kT)
     if skin is None:
         skin = suggest_skin(fluid, suggest_dt(fluid, total / float(np.prod(box.lengths))) if dt is None else dt)
+    not_negative(skin, "skin")
     grids = [
         lists.plan_grid(total, np.asarray(box.lengths), interaction.reach, _number(skin), sheared)
         for interaction in jax.tree.map(_concrete, fluid.interactions)

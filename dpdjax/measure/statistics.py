@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A measured value and its standard error; prints as ``0.85 +- 0.02``.
+    """A measured value and its standard error; prints as ``0.851 +- 0.021``.
 
     Attributes:
         value: the estimate.

@@ -45,7 +45,7 @@ def shear_viscosity(trajectory, *, skip: float = 0.1, blocks: int = 20, control:
     Raises ValueError for a run without shear, or a batch that scans over numbers.
     """
     rate = _one_rate(trajectory)
-    frames = _later(trajectory, skip)
+    frames = _later(trajectory, skip, need="pressure_tensor")
     series = -frames["pressure_tensor"][..., 0, 1] / rate
     if control and "pressure_random" in frames:
         series = controlled(series, -frames["pressure_random"][..., 0, 1] / rate, blocks)
@@ -195,12 +195,18 @@ def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
 
 
 def _one_rate(trajectory) -> float:
+    _refuse_scan(trajectory)
     rate = np.unique(np.asarray(trajectory.flow.rate))
-    if trajectory.is_batch and (trajectory.fluid.is_batch or rate.size > 1):
-        raise ValueError("the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]")
     if rate[0] == 0:
         raise ValueError("this run had no shear; run it with flow=dpd.shear(rate)")
     return float(rate[0])
+
+
+def _refuse_scan(trajectory):
+    """Raise where the members of a batch differ in a number."""
+    numbers = [trajectory.dt, trajectory.flow.rate]
+    if trajectory.is_batch and (trajectory.fluid.is_batch or any(np.unique(np.asarray(x)).size > 1 for x in numbers)):
+        raise ValueError("the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]")
 
 
 def _later(trajectory, skip, need=None) -> dict:
@@ -215,8 +221,7 @@ def _later(trajectory, skip, need=None) -> dict:
 
 def _constants(trajectory):
     """Time step, volume and kT of replicas of one system."""
-    if trajectory.is_batch and trajectory.fluid.is_batch:
-        raise ValueError("the members of this batch differ; measure each of run.members()")
+    _refuse_scan(trajectory)
     lengths = np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]
     return float(np.ravel(trajectory.dt)[0]), float(lengths.prod()), float(trajectory.fluid.kT)
 

@@ -1,0 +1,367 @@
+"""Physics at production accuracy: measures, writes results.json, and RESULTS.md from it.
+
+    python tests/physics/measure.py              # everything, about 40 minutes on 2 cores
+    python tests/physics/measure.py pressure ... # only these
+
+Single precision, as users run. The slow tests call this and judge the numbers.
+"""
+
+import datetime
+import json
+import math
+import platform
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import dpdjax as dpd
+from dpdjax.calibrate import experiment
+from dpdjax.calibrate.goal import viscosity_goal
+from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+
+HERE = Path(__file__).parent
+KEY = jax.random.key(2024)
+
+
+def fluid(a, gamma, kT=1.0):
+    return dpd.fluid(
+        conservative=[dpd.term(dpd.soft_repulsion, a=a, r_c=1.0)],
+        drag=[dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)],
+        kT=kT,
+    )
+
+
+IDEAL, WATER = fluid(0.0, 5.0), fluid(25.0, 4.5)
+
+
+def boxes(matter, side, count, dt, seed=0, density=3.0, settle=8.0):
+    """``count`` boxes in equilibrium, and their keys."""
+    keys = jax.random.split(jax.random.fold_in(KEY, seed), count)
+    state = jax.vmap(lambda k: dpd.initial_state(matter, k, box=side, density=density, dt=dt))(keys)
+    plan = dpd.Plan(10, max(1, round(settle / dt / 10)))
+    return dpd.run(matter, state, keys, dt, plan, progress=False).final, keys
+
+
+def go(matter, state, keys, dt, total, every, flow=None, observe=None):
+    plan = dpd.Plan(max(1, round(total / dt / every)), every)
+    return dpd.run(matter, state, keys, dt, plan, flow, observe=observe, progress=False)
+
+
+def sheared(matter, dt, rate, particle_time, side=10.0, count=4, seed=0):
+    """Viscosity under shear from ``particle_time`` bead-time-units, and the run."""
+    state, keys = boxes(matter, side, count, dt, seed)
+    beads = count * state.position.shape[1]
+    state = go(matter, state, keys, dt, 4.0, 50, dpd.shear(rate)).final
+    run = go(matter, state, keys, dt, particle_time / beads, 20, dpd.shear(rate), dpd.mean(dpd.shear_record))
+    return dpd.shear_viscosity(run, skip=0.0, blocks=32), run
+
+
+def row(quantity, state, value, reference="", source="", note=""):
+    """One line of the table; ``value`` and ``reference`` are estimates or numbers."""
+
+    def plain(v):
+        return [v.value, v.error] if isinstance(v, Estimate) else v
+
+    return dict(quantity=quantity, state=state, value=plain(value), reference=plain(reference), source=source, note=note)
+
+
+def lammps(**wanted):
+    """The referee's run with these parameters, from lammps.json."""
+    for r in json.loads((HERE / "lammps.json").read_text()):
+        if all(math.isclose(r[k], v) for k, v in wanted.items()):
+            return Estimate(r["viscosity"], r["viscosity_error"], r["blocks"])
+    raise LookupError(f"lammps.json has no run with {wanted}")
+
+
+# ---------------------------------------------------------------------------- statics
+
+
+def pressure():
+    """Pressure, energy and structure of water at a small step."""
+    dt = 0.0025
+    state, keys = boxes(WATER, 10.0, 4, dt, seed=1)
+    run = go(WATER, state, keys, dt, 40.0, 40, observe=[dpd.stresses, dpd.standard])
+    static = run.frames["pressure_kinetic"] + run.frames["pressure_conservative"]
+    p = block_average(np.trace(static, axis1=-2, axis2=-1) / 3)
+    energy = block_average(run.frames["potential_energy"] / 1000.0)
+    config = lambda f, s: {"config": dpd.configurational_temperature(f, s)}
+    shots = go(WATER, run.final, keys, dt, 10.0, 80, observe=[dpd.positions, config])
+    g = dpd.radial_distribution(shots, bins=125, r_max=2.5)
+    peak, dip, half = (int(np.argmin(np.abs(g.r - x))) for x in (0.88, 1.19, 0.5))
+    where = "rho 3, a 25, kT 1, gamma 4.5, dt 0.0025"
+    at = lambda k: Estimate(float(g.g[k]), float(g.error[k]))
+    top = int(np.argmax(g.g))
+    return [
+        row("pressure", where, p, Estimate(23.65, 0.02), "P. Warren, Monte Carlo"),
+        row("excess energy density", where, energy, Estimate(13.63, 0.02), "P. Warren, Monte Carlo"),
+        row("g(r) at 0.88", where, at(peak), 1.16, "HNC", f"highest {g.g[top]:.3f} at r = {g.r[top]:.2f}"),
+        row("g(r) at 1.19", where, at(dip), 0.95, "HNC"),
+        row("g(r) at 0.50", where, at(half), 0.59, "HNC"),
+        row("kinetic temperature", where, block_average(run.frames["temperature"]), 1.0, "exact, up to O(dt)"),
+        row("configurational temperature", where, block_average(shots.frames["config"]), 1.0, "exact, up to O(dt)"),
+    ]
+
+
+def temperature():
+    """Temperature error of velocity-Verlet against the time step."""
+    rows = []
+    for name, matter, steps in (("a 0", fluid(0.0, 4.5), (0.05, 0.02, 0.01, 0.005)), ("a 25", WATER, (0.02, 0.01, 0.005))):
+        for dt in steps:
+            state, keys = boxes(matter, 10.0, 2, dt, seed=2)
+            run = go(matter, state, keys, dt, 60.0, max(1, round(0.1 / dt)))
+            excess = block_average(100 * (run.frames["temperature"] - 1.0))
+            reference = {0.02: "about 1.4", 0.05: "about 4.5"}.get(dt, "") if name == "a 0" else ""
+            note = f"{excess.value / 100 / (4.5 * dt):.2f} gamma dt"
+            rows.append(row("temperature error [%]", f"{name}, gamma 4.5, dt {dt:g}", excess, reference, "", note))
+    rule = dpd.suggest_dt(WATER, 3.0)
+    state, keys = boxes(WATER, 10.0, 2, rule, seed=3)
+    run = go(WATER, state, keys, rule, 80.0, 15)
+    excess = block_average(100 * (run.frames["temperature"] - 1.0))
+    return [*rows, row("temperature error [%], default dt", f"a 25, gamma 4.5, dt {rule:.2g}", excess, "below 0.5", "")]
+
+
+# ------------------------------------------------------------------------- viscosity
+
+
+def ideal_shear():
+    """(a 0, gamma 5): homogeneous shear, and its limits of small rate and step."""
+    where = "a 0, gamma 5, kT 1"
+    main, _ = sheared(IDEAL, 0.01, 0.2, 1.3e6, seed=4)
+    fast, _ = sheared(IDEAL, 0.01, 0.4, 6e5, seed=5)
+    fine, _ = sheared(IDEAL, 0.005, 0.4, 5e5, seed=6)
+    limit = plane([(0.04, 0.01, main), (0.16, 0.01, fast), (0.16, 0.005, fine)])
+    referee = lammps(repulsion=0, gamma=5, dt=0.01, rate=0.2)
+    return [
+        row("viscosity, shear", f"{where}, dt 0.01, rate 0.2", main, referee, "LAMMPS, same dt and rate"),
+        row("viscosity, shear", f"{where}, dt 0.01, rate 0.4", fast),
+        row("viscosity, shear", f"{where}, dt 0.005, rate 0.4", fine),
+        row("viscosity, shear", f"{where}, dt -> 0, rate -> 0", limit, Estimate(1.23, 0.01), "Zhou & Schmid 2013"),
+        row("viscosity, LAMMPS", f"{where}, dt 0.01, rate 0.2", referee, Estimate(1.23, 0.01), "Zhou & Schmid 2013"),
+    ]
+
+
+def plane(points):
+    """Value at zero of the plane through estimates at (rate^2, dt)."""
+    design = np.array([[1.0, x, y] for x, y, _ in points])
+    inverse = np.linalg.inv(design)[0]
+    values = np.array([e.value for *_, e in points])
+    errors = np.array([e.error for *_, e in points])
+    return Estimate(float(inverse @ values), float(np.sqrt(inverse**2 @ errors**2)))
+
+
+def ideal_equilibrium():
+    """(a 0, gamma 5): Einstein-Helfand and Green-Kubo in many small boxes."""
+    dt, side, count = 0.01, 5.0, 24
+    state, keys = boxes(IDEAL, side, count, dt, seed=7)
+    observe = [*dpd.einstein_helfand_record, dpd.green_kubo_record]
+    run = go(IDEAL, state, keys, dt, 220.0, 5, observe=observe)
+    helfand = dpd.einstein_helfand(run, window=6.0, start=3.0, blocks=96)
+    kubo = dpd.green_kubo(run, window=5.0, blocks=96)
+    where = "a 0, gamma 5, kT 1, dt 0.01, 24 boxes of side 5"
+    return [
+        row("viscosity, Einstein-Helfand", where, helfand, "", "", "slope between t = 3 and 6"),
+        row("viscosity, Green-Kubo", where, kubo, "", "", "integral to t = 5"),
+    ]
+
+
+def ideal_sine():
+    """(a 0, gamma 5): sinusoidal body force at two wavelengths, extrapolated in k^2."""
+    dt, found, squares, rows = 0.01, [], [], []
+    for wavelength, other, count, total, seed in ((10.0, 6.0, 8, 260.0, 8), (20.0, 6.0, 6, 420.0, 9)):
+        k = 2 * math.pi / wavelength
+        amplitude = 1.25 * k * 0.2 / 3.0
+        state, keys = boxes(IDEAL, jnp.array([other, wavelength, other]), count, dt, seed)
+        flow = dpd.sinusoidal_force(amplitude, wavelength)
+        relax = 4 * 3.0 / (1.25 * k**2)
+        state = go(IDEAL, state, keys, dt, relax, 100, flow).final
+        run = go(IDEAL, state, keys, dt, total, 50, flow, dpd.sine_record(1))
+        found.append(dpd.sinusoidal_viscosity(run, skip=0.0, blocks=4 * count))
+        squares.append(k**2)
+        where = f"a 0, gamma 5, kT 1, dt 0.01, wavelength {wavelength:g}, k U 0.2"
+        rows.append(row("viscosity, sinusoidal force", where, found[-1]))
+    limit = dpd.extrapolate(squares, found)
+    return [*rows, row("viscosity, sinusoidal force", "a 0, gamma 5, kT 1, dt 0.01, k -> 0", limit)]
+
+
+def water_shear():
+    """(a 25, gamma 4.5) against LAMMPS at the same step and rate."""
+    where = "a 25, gamma 4.5, kT 1, dt 0.01, rate 0.2"
+    eta, run = sheared(WATER, 0.01, 0.2, 1.7e6, seed=10)
+    referee = lammps(repulsion=25, gamma=4.5, dt=0.01, rate=0.2)
+    heat = block_average(run.frames["temperature"])
+    return [
+        row("viscosity, shear", where, eta, referee, "LAMMPS, same dt and rate"),
+        row("viscosity, shear", where, eta, Estimate(0.85, 0.1), "seed 002 / Boromand et al. 2015"),
+        row("kinetic temperature under shear", where, heat, 1.0111, "LAMMPS, same dt and rate"),
+    ]
+
+
+# ------------------------------------------------------------------------- gradients
+
+
+def tangents(matter, name, dt, rate, duration, windows, side=10.0, count=4, seed=20, frames=20):
+    """Mean tangent of the viscosity in ``name`` over a window: times, values, errors."""
+    goal = viscosity_goal(1.0, rate)
+    state, keys = boxes(matter, side, count, dt, seed)
+    state = go(matter, state, keys, dt, 5.0, 50, goal.flow).final
+    bench = experiment.Bench(matter, goal, 3.0, state, keys, dpd.run, dt)
+    plan = dpd.Plan(frames, max(1, round(duration / dt / frames)))
+    found = [experiment.window_tangents(bench, matter, name, dt, plan) for _ in range(windows)]
+    slopes = goal.scale * np.concatenate(found) / float(matter.value(name))
+    each = [from_replicas(c) for c in slopes.T]
+    times = dt * plan.every * np.arange(1, frames + 1)
+    return times, each, slopes
+
+
+def slope_ideal():
+    """d eta / d gamma at (a 0, gamma 5): tangent against independent runs."""
+    times, slopes, _ = tangents(IDEAL, "gamma", 0.01, 0.3, 0.9, 12)
+    at = int(np.argmin(np.abs(times - 0.7)))
+    low, _ = sheared(fluid(0.0, 4.0), 0.01, 0.4, 9e5, seed=21)
+    high, _ = sheared(fluid(0.0, 6.0), 0.01, 0.4, 9e5, seed=22)
+    difference = Estimate((high.value - low.value) / 2, math.hypot(high.error, low.error) / 2)
+    where = "a 0, gamma 5, kT 1, dt 0.01"
+    course = ", ".join(f"{e} at {t:.2f}" for t, e in list(zip(times, slopes))[3::4])
+    return [
+        row("d eta / d gamma, tangent", f"{where}, t = 0.7, rate 0.3", slopes[at], difference, "runs at gamma 4 and 6", course),
+        row("viscosity, shear", "a 0, gamma 4, dt 0.01, rate 0.4", low),
+        row("viscosity, shear", "a 0, gamma 6, dt 0.01, rate 0.4", high),
+    ]
+
+
+def slope_water():
+    """d eta / d gamma of water and of the flow solvent, by tangents."""
+    times, slopes, _ = tangents(WATER, "gamma", 0.005, 0.3, 0.6, 16, seed=23)
+    at = int(np.argmin(np.abs(times - 0.4)))
+    return [
+        row("d eta / d gamma, tangent", "a 25, gamma 4.5, kT 1, t = 0.4", slopes[at], Estimate(0.015, 0.003), "earlier study"),
+    ]
+
+
+def growth():
+    """How fast a tangent grows: the noise of d eta / d gamma over long windows."""
+    rows = []
+    for name, matter, dt in (("a 0, gamma 5", IDEAL, 0.01), ("a 25, gamma 4.5", WATER, 0.01)):
+        times, _, slopes = tangents(matter, "gamma", dt, 0.3, 4.0, 3, side=8.0, seed=24)
+        spread = np.log(slopes.std(axis=0))
+        late = (times > 1.2) & (times < 3.6)
+        (rate, _), cov = np.polyfit(times[late], spread[late], 1, cov=True)
+        value = Estimate(float(rate), float(math.sqrt(cov[0, 0])))
+        rows.append(row("growth rate of a tangent", f"{name}, kT 1", value, "about 2.7", "earlier study, a 0"))
+    return rows
+
+
+def identities():
+    """Averages whose derivatives are known: dp/da at a = 0, d<v^2>/dkT, d<p>/d gamma."""
+    ideal = fluid(0.0, 4.5)
+    dt, count = 0.01, 4
+    state, keys = boxes(ideal, 8.0, count, dt, seed=30)
+
+    def static_pressure(f, s):
+        parts = dpd.pressure_by_origin(f, s)
+        return {"value": jnp.trace(parts["kinetic"] + parts["conservative"]) / 3}
+
+    def kinetic(f, s):
+        return {"value": jnp.mean(jnp.sum(s.velocity**2, axis=1))}
+
+    def slopes(matter, state, name, observe, duration, windows):
+        def one(s, k):
+            def f(x):
+                t = dpd.simulate(matter.set(**{name: x}), s, k, dt, dpd.Plan(10, round(duration / dt / 10)), observe=observe)
+                return t.frames["value"][-1], t.final
+
+            return jax.jvp(f, (matter.value(name),), (jnp.ones(()),), has_aux=True)
+
+        go = jax.jit(jax.vmap(one))
+        found = []
+        for _ in range(windows):
+            _, slope, state = go(state, keys)
+            found += [float(x) for x in slope]
+        return from_replicas(found)
+
+    first = slopes(ideal, state, "a", static_pressure, 0.6, 6)
+    second = slopes(ideal, state, "kT", kinetic, 1.2, 8)
+    state, _ = boxes(WATER, 8.0, count, dt, seed=31)
+    third = slopes(WATER, state, "gamma", static_pressure, 0.5, 12)
+    return [
+        row("dp/da at a = 0, tangent", "rho 3, gamma 4.5, t = 0.6", first, math.pi * 9 / 30, "pi rho^2 / 30, exact"),
+        row("d<v^2>/dkT, tangent", "a 0, gamma 4.5, t = 1.2", second, 3.0, "3/m, exact once relaxed", "exp(-2 omega t) is left"),
+        row("d<p>/d gamma, tangent", "a 25, gamma 4.5, t = 0.5", third, 0.0, "0 as dt -> 0, exact"),
+    ]
+
+
+def main_job():
+    """The README's main job against LAMMPS at the gamma it gives."""
+    matter = fluid(2.5, 4.5, 0.1)
+    fit = dpd.calibrate(matter, "gamma", viscosity=1.1, key=jax.random.key(0))
+    referee = next(r for r in json.loads((HERE / "lammps.json").read_text()) if abs(r["gamma"] / fit.value - 1) < 0.02)
+    referee = Estimate(referee["viscosity"], referee["viscosity_error"])
+    where = f"a 2.5, kT 0.1, gamma {fit.value:.2f}"
+    return [
+        row("gamma of viscosity 1.1", "a 2.5, kT 0.1", fit.estimate, 45.0, "the guess of seed 000", f"{fit.seconds:.0f} s"),
+        row("viscosity, fresh run", where, fit.measured, 1.1, "target"),
+        row("viscosity, LAMMPS, dt 0.0005, rate 0.1", where, referee, 1.1, "target, within 3 %"),
+    ]
+
+
+ROOMS = (
+    pressure, temperature, ideal_shear, ideal_equilibrium, ideal_sine, water_shear,
+    slope_ideal, slope_water, growth, identities, main_job,
+)  # fmt: skip
+
+
+def measure(names=()):
+    """Run the named rooms (all by default), and write both files after each."""
+    file = HERE / "results.json"
+    results = json.loads(file.read_text()) if file.exists() else {}
+    for room in ROOMS:
+        if names and room.__name__ not in names:
+            continue
+        began = time.monotonic()
+        rows = room()
+        results[room.__name__] = {
+            "title": room.__doc__.strip(),
+            "date": datetime.date.today().isoformat(),
+            "versions": f"dpdjax {dpd.__version__}, jax {jax.__version__}, Python {platform.python_version()}",
+            "device": jax.devices()[0].device_kind,
+            "seconds": round(time.monotonic() - began),
+            "rows": rows,
+        }
+        file.write_text(json.dumps(results, indent=1) + "\n")
+        (HERE / "RESULTS.md").write_text(table(results))
+        print(f"{room.__name__}: {results[room.__name__]['seconds']} s", *map(text, rows), sep="\n  ", flush=True)
+    return results
+
+
+def text(r) -> str:
+    return f"{r['quantity']} | {r['state']} | {shown(r['value'])} | {shown(r['reference'])} | {r['source']} | {r['note']}"
+
+
+def shown(value) -> str:
+    if isinstance(value, list):
+        return str(Estimate(*value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def table(results) -> str:
+    lines = [
+        "# Physics at production accuracy",
+        "",
+        "Written by `python tests/physics/measure.py`; do not edit. Reduced units, density 3, standard errors.",
+    ]
+    for room in ROOMS:
+        if room.__name__ not in results:
+            continue
+        r = results[room.__name__]
+        lines += ["", f"## {r['title']}", "", f"{r['date']}, {r['versions']}, {r['device']}, {r['seconds']} s", ""]
+        lines += ["| quantity | state | value | reference | source | note |", "|---|---|---|---|---|---|"]
+        lines += [f"| {text(line)} |" for line in r["rows"]]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    measure(sys.argv[1:])

@@ -1,0 +1,85 @@
+"""Architecture: numbers flow model -> engine -> measure -> calibrate, and imports point the same way."""
+
+import ast
+import importlib
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+import dpdjax
+
+ROOT = pathlib.Path(dpdjax.__file__).parent
+ROOMS = ["model", "engine", "measure", "calibrate"]
+HOST = {"run", "io", "plot", "cli"}
+
+
+def name_of(path):
+    return ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
+
+
+def imports_of(path):
+    """Every module of dpdjax that a file imports, at its top or inside a function."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "dpdjax")
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name} has a relative import"
+            if node.module.split(".")[0] == "dpdjax":
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def room_of(module):
+    return (module.split(".") + [""])[1]
+
+
+FILES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_point_one_way(path):
+    own = ROOMS.index(room_of(name_of(path)))
+    for module in imports_of(path):
+        room = room_of(module)
+        assert room not in HOST, f"{module} belongs to the host side"
+        assert room in ROOMS[: own + 1] + ["checks"], f"{module} is further down than {path.name}"
+
+
+def test_helpers_import_nothing_of_the_package():
+    assert not list(imports_of(ROOT / "checks.py"))
+
+
+def in_fresh_python(code):
+    """What a fresh interpreter prints, by word."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+
+
+def test_import_is_quick():
+    """Neither jax nor jax-md nor the plots are loaded before they are used."""
+    loaded = in_fresh_python("import dpdjax, sys; dir(dpdjax); print(*sys.modules)")
+    assert "dpdjax" in loaded
+    assert not {"jax", "jax_md", "numpy", "matplotlib", "tqdm", "optax"} & set(loaded)
+    assert len(loaded) < 300
+
+
+@pytest.mark.parametrize("name", dpdjax.__all__)
+def test_public_name_lives_in_its_home(name):
+    value = getattr(importlib.import_module(dpdjax._HOME_OF[name]), name)
+    assert value.__doc__, "has a docstring"
+
+
+def test_public_names_are_no_modules_whatever_is_imported_first():
+    """Importing ``dpdjax.run`` sets the attribute ``run`` of the package to the module."""
+    code = """
+import dpdjax, importlib, inspect
+for home in dpdjax._HOME_OF.values():
+    importlib.import_module(home)
+print(*[name for name in dpdjax.__all__ if inspect.ismodule(getattr(dpdjax, name))])
+"""
+    assert in_fresh_python(code) == []
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no 'viscocity'"):
+        dpdjax.viscocity  # noqa: B018

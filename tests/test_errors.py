@@ -1,0 +1,163 @@
+"""Errors: one clear line, before the work starts, that names the value and the cure."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dpdjax as dpd
+
+
+def repulsion(**coefficients):
+    return dpd.term(dpd.soft_repulsion, **{"a": 25.0, "r_c": 1.0} | coefficients)
+
+
+def drag(**coefficients):
+    return dpd.term(dpd.central_drag, **{"gamma": 4.5, "r_c": 1.0} | coefficients)
+
+
+def refused(kind, *parts):
+    """Expect an error of one line that has every part in it."""
+    return pytest.raises(kind, check=lambda e: "\n" not in str(e) and all(p in str(e) for p in parts))
+
+
+@pytest.fixture(scope="module")
+def state(fresh):
+    return fresh
+
+
+PLAN = dpd.Plan(1)
+
+
+@pytest.mark.parametrize("make", [lambda water: dpd.fluid([repulsion()], kT=-1.0), lambda water: water.set(kT=-1.0)])
+def test_negative_temperature(make, water):
+    with refused(ValueError, "kT is -1.0", "must not be negative"):
+        make(water)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda water: dpd.fluid(drag=[drag(gamma=-2.0)], kT=1.0), lambda water: water.set(gamma=-2.0)]
+)
+def test_negative_drag(make, water):
+    with refused(ValueError, "gamma is -2.0", "must not be negative"):
+        make(water)
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, [1.0, 0.0]], ids=str)
+def test_mass_not_above_zero(mass):
+    with refused(ValueError, f"mass is {mass}", "above zero"):
+        dpd.fluid([repulsion()], kT=1.0, mass=mass)
+
+
+def test_numbers_that_are_none(water):
+    with refused(ValueError, "gamma is nan", "finite"):
+        water.set(gamma=float("nan"))
+    with refused(TypeError, "gamma is 'big'", "a number"):
+        water.set(gamma="big")
+    with refused(TypeError, "kT is None", "a number"):
+        dpd.fluid([repulsion()], kT=None)
+
+
+def test_misspelt_coefficient(water):
+    with refused(TypeError, "soft_repulsion", "'rc'", "a, r_c"):
+        dpd.term(dpd.soft_repulsion, a=25.0, rc=1.0)
+    with refused(TypeError, "'gama'", "a, gamma, r_c"):
+        water.set(gama=4.5)
+
+
+def test_missing_coefficient_and_missing_reach():
+    with refused(TypeError, "soft_repulsion lacks a", "a=..."):
+        dpd.term(dpd.soft_repulsion, r_c=1.0)
+    with refused(ValueError, "spring", "reach=..."):
+        dpd.term(spring, k=1.0)
+
+
+def spring(h, *, k):
+    return k * h**2
+
+
+def test_wrong_tables():
+    with refused(ValueError, "a has shape (2,)", "square"):
+        repulsion(a=[1.0, 2.0])
+    with refused(ValueError, "table of a", "not symmetric"):
+        repulsion(a=[[1.0, 2.0], [3.0, 1.0]])
+    with refused(ValueError, "species disagree", "a has 2", "gamma has 3"):
+        dpd.fluid([repulsion(a=np.ones((2, 2)))], [drag(gamma=np.ones((3, 3)))], kT=1.0)
+
+
+def test_things_that_are_no_terms():
+    with refused(TypeError, "not a term", "dpd.term(law"):
+        dpd.fluid([dpd.soft_repulsion], kT=1.0)
+    with refused(ValueError, "without terms", "conservative=[...]"):
+        dpd.fluid(kT=1.0)
+
+
+def test_box_below_two_cuts(water, key):
+    with refused(ValueError, "box side 2 ", "2 (reach + skin) = 2.4", "at least 2.683"):
+        dpd.initial_state(water, key, box=2.0, density=3.0, skin=0.2)
+    with refused(ValueError, "skin is -0.2", "must not be negative"):
+        dpd.initial_state(water, key, box=4.2, density=3.0, skin=-0.2)
+
+
+def test_box_of_the_wrong_shape(water, key):
+    with refused(ValueError, "shape (2,)", "one side or three"):
+        dpd.initial_state(water, key, box=[4.0, 4.0], density=3.0)
+
+
+def test_fewer_than_two_beads(water, key):
+    with refused(ValueError, "density x volume is 1", "at least 2", "larger box"):
+        dpd.initial_state(water, key, box=3.0, density=0.03, skin=0.2)
+    with refused(ValueError, "density is -3", "above zero"):
+        dpd.initial_state(water, key, box=3.0, density=-3, skin=0.2)
+    with refused(ValueError, "either density=... or n=..."):
+        dpd.initial_state(water, key, box=3.0)
+
+
+def test_dt_too_large_for_the_drag(water, state, key):
+    with refused(ValueError, "dt 0.5", "too large for the drag", "use dt = 0.0068"):
+        dpd.simulate(water, state, key, 0.5, PLAN)
+    with refused(ValueError, "dt is -0.01", "above zero"):
+        dpd.simulate(water, state, key, -0.01, PLAN)
+
+
+def test_dt_too_large_for_the_lightest_beads(state, key):
+    with refused(ValueError, "dt 0.5", "too large for the drag"):
+        dpd.simulate(dpd.fluid(drag=[drag()], kT=1.0, mass=[1.0, 1000.0]), state, key, 0.5, PLAN)
+
+
+@pytest.mark.parametrize("wrong, parts", [(None, ["no key", "jax.random.key(0)"]), (3, ["integer 3", "jax.random.key(3)"])])
+def test_missing_or_integer_key(wrong, parts, water, state):
+    with refused(TypeError, *parts):
+        dpd.simulate(water, state, wrong, 0.01, PLAN)
+    with refused(TypeError, *parts):
+        dpd.initial_state(water, wrong, box=4.2, density=3.0)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "3", "ten", None, float("nan"), float("inf")], ids=str)
+def test_bad_plan(wrong):
+    with refused(ValueError, f"Plan frames is {wrong!r}", "whole number of at least 1"):
+        dpd.Plan(frames=wrong)
+    with refused(ValueError, f"Plan every is {wrong!r}", "whole number of at least 1"):
+        dpd.Plan(frames=1, every=wrong)
+
+
+def test_arguments_of_the_wrong_kind(water, state, key):
+    with refused(TypeError, "fluid is a State", "dpd.fluid"):
+        dpd.simulate(state, water, key, 0.01, PLAN)
+    with refused(TypeError, "plan is 10", "dpd.Plan"):
+        dpd.simulate(water, state, key, 0.01, 10)
+    with refused(TypeError, "flow is 0.2", "dpd.shear"):
+        dpd.simulate(water, state, key, 0.01, PLAN, 0.2)
+    with refused(TypeError, "observe is 'temperature'", "observe(fluid, state)"):
+        dpd.simulate(water, state, key, 0.01, PLAN, observe="temperature")
+
+
+def test_wrong_shapes(water, state, key):
+    with refused(ValueError, "(222, 3)", "(5, 3)", "(beads, 3)"):
+        dpd.simulate(water, dataclasses.replace(state, velocity=state.velocity[:5]), key, 0.01, PLAN)
+    with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
+        dpd.simulate(water.set(gamma=jnp.ones(3)), state, key, 0.01, PLAN)
+    with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
+        dpd.simulate(water, jax.tree.map(lambda leaf: leaf, state), key, jnp.array([0.01, 0.02]), PLAN)
