@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,11 +20,6 @@ def drag(**coefficients):
 def refused(kind, *parts):
     """Expect an error of one line that has every part in it."""
     return pytest.raises(kind, check=lambda e: "\n" not in str(e) and all(p in str(e) for p in parts))
-
-
-@pytest.fixture(scope="module")
-def state(fresh):
-    return fresh
 
 
 PLAN = dpd.Plan(1)
@@ -115,22 +109,22 @@ def test_fewer_than_two_beads(water, key):
         dpd.initial_state(water, key, box=3.0)
 
 
-def test_dt_too_large_for_the_drag(water, state, key):
+def test_dt_too_large_for_the_drag(water, fresh, key):
     with refused(ValueError, "dt 0.5", "too large for the drag", "use dt = 0.0068"):
-        dpd.simulate(water, state, key, 0.5, PLAN)
+        dpd.simulate(water, fresh, key, 0.5, PLAN)
     with refused(ValueError, "dt is -0.01", "above zero"):
-        dpd.simulate(water, state, key, -0.01, PLAN)
+        dpd.simulate(water, fresh, key, -0.01, PLAN)
 
 
-def test_dt_too_large_for_the_lightest_beads(state, key):
+def test_dt_too_large_for_the_lightest_beads(fresh, key):
     with refused(ValueError, "dt 0.5", "too large for the drag"):
-        dpd.simulate(dpd.fluid(drag=[drag()], kT=1.0, mass=[1.0, 1000.0]), state, key, 0.5, PLAN)
+        dpd.simulate(dpd.fluid(drag=[drag()], kT=1.0, mass=[1.0, 1000.0]), fresh, key, 0.5, PLAN)
 
 
 @pytest.mark.parametrize("wrong, parts", [(None, ["no key", "jax.random.key(0)"]), (3, ["integer 3", "jax.random.key(3)"])])
-def test_missing_or_integer_key(wrong, parts, water, state):
+def test_missing_or_integer_key(wrong, parts, water, fresh):
     with refused(TypeError, *parts):
-        dpd.simulate(water, state, wrong, 0.01, PLAN)
+        dpd.simulate(water, fresh, wrong, 0.01, PLAN)
     with refused(TypeError, *parts):
         dpd.initial_state(water, wrong, box=4.2, density=3.0)
 
@@ -143,21 +137,21 @@ def test_bad_plan(wrong):
         dpd.Plan(frames=1, every=wrong)
 
 
-def test_arguments_of_the_wrong_kind(water, state, key):
+def test_arguments_of_the_wrong_kind(water, fresh, key):
     with refused(TypeError, "fluid is a State", "dpd.fluid"):
-        dpd.simulate(state, water, key, 0.01, PLAN)
+        dpd.simulate(fresh, water, key, 0.01, PLAN)
     with refused(TypeError, "plan is 10", "dpd.Plan"):
-        dpd.simulate(water, state, key, 0.01, 10)
+        dpd.simulate(water, fresh, key, 0.01, 10)
     with refused(TypeError, "flow is 0.2", "dpd.shear"):
-        dpd.simulate(water, state, key, 0.01, PLAN, 0.2)
+        dpd.simulate(water, fresh, key, 0.01, PLAN, 0.2)
     with refused(TypeError, "observe is 'temperature'", "observe(fluid, state)"):
-        dpd.simulate(water, state, key, 0.01, PLAN, observe="temperature")
+        dpd.simulate(water, fresh, key, 0.01, PLAN, observe="temperature")
 
 
-def test_wrong_shapes(water, state, key):
+def test_wrong_shapes(water, fresh, key):
     with refused(ValueError, "(222, 3)", "(5, 3)", "(beads, 3)"):
-        dpd.simulate(water, dataclasses.replace(state, velocity=state.velocity[:5]), key, 0.01, PLAN)
+        dpd.simulate(water, dataclasses.replace(fresh, velocity=fresh.velocity[:5]), key, 0.01, PLAN)
     with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
-        dpd.simulate(water.set(gamma=jnp.ones(3)), state, key, 0.01, PLAN)
+        dpd.simulate(water.set(gamma=jnp.ones(3)), fresh, key, 0.01, PLAN)
     with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
-        dpd.simulate(water, jax.tree.map(lambda leaf: leaf, state), key, jnp.array([0.01, 0.02]), PLAN)
+        dpd.simulate(water, fresh, key, jnp.array([0.01, 0.02]), PLAN)

@@ -100,7 +100,7 @@ def test_remat_gives_the_same_gradient(start, stress, reverse):
 
 
 def test_scaling_all_energies_scales_every_stress(water, sheared_water, key, ten):
-    """PHYSICS: (kT, a, gamma, dt, rate, v) by (l, l, sqrt l, 1/sqrt l, sqrt l, sqrt l)."""
+    """An exact identity: (kT, a, gamma, dt, rate, v) by (l, l, sqrt l, 1/sqrt l, sqrt l, sqrt l)."""
 
     def stresses(scale):
         root = jnp.sqrt(scale)

@@ -11,6 +11,7 @@ import numpy as np
 from dpdjax.calibrate import experiment
 from dpdjax.calibrate.curve import Curve, Point, propose
 from dpdjax.calibrate.goal import Goal, custom_goal, damped, pressure_goal, suggest_rate, viscosity_goal
+from dpdjax.calibrate.joint import JointCalibration, descend
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.measure.statistics import Estimate
 
@@ -78,7 +79,7 @@ class Calibration:
 
 def calibrate(
     fluid,
-    parameter: str = "gamma",
+    parameter="gamma",
     *,
     key,
     viscosity=None,
@@ -95,8 +96,9 @@ def calibrate(
     box: float | None = None,
     boxes: int = 4,
     max_particle_steps: float = 2e9,
+    optimiser=None,
     report=None,
-) -> Calibration:
+) -> Calibration | JointCalibration:
     """The value of ``parameter`` at which the fluid has the wanted viscosity (or other number).
 
     A batch of boxes is run at a guess; a value (unbiased, with its error) and a slope (by
@@ -107,7 +109,10 @@ def calibrate(
     Args:
         fluid: what to calibrate; its present value of ``parameter`` is the first guess
             where ``guess`` gives none.
-        parameter: a positive scalar of the fluid: ``"gamma"``, ``"a"``, ``"kT"``, ...
+        parameter: a positive scalar of the fluid: ``"gamma"``, ``"a"``, ``"kT"``, ...; or a
+            sequence of them, for as many wanted numbers, e.g. ``("gamma", "a")`` with
+            ``viscosity=`` and ``pressure=``. Several parameters follow an optax optimiser from
+            their present values, and give a :class:`JointCalibration`.
         key: a PRNG key.
         viscosity, pressure: the wanted number; or ``target`` with ``observe(fluid, state)``
             and the ``flow`` it is measured in.
@@ -121,6 +126,7 @@ def calibrate(
         box: side of each box; by default 8 interaction ranges.
         boxes: boxes in the batch.
         max_particle_steps: give up beyond.
+        optimiser: an ``optax.GradientTransformation``, for several parameters.
         report: ``report(text)`` is told of the progress.
 
     Raises:
@@ -131,13 +137,17 @@ def calibrate(
     began = time.monotonic()
     key = prng_key(key)
     sign = _branch_sign(branch)
-    _check_goal(viscosity, pressure, target, observe)
     positive(tolerance, "tolerance")
     density = float(positive(density, "density"))
+    say = report or (lambda text: None)
+    if not isinstance(parameter, str):
+        wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
+        setup = (observe, flow, rate, density, tolerance, box, boxes, dt)
+        return _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
+    _check_goal(viscosity, pressure, target, observe)
     guess = _first_guess(fluid, parameter, guess, viscosity, density)
     fluid = fluid.set(**{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
-    say = report or (lambda text: None)
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
     wanted = 0.5 * tolerance * abs(goal.target)
 
@@ -204,6 +214,27 @@ def rough_viscosity(fluid, density: float) -> float:
     # For zeta = gamma w^2: omega = 4 pi gamma rho r_c^3 / 90 m, and the drag stress is in the same ratio to it.
     drag = omega * mass * density * reach**2 * (2 * math.pi / 1575) / (4 * math.pi / 90)
     return 0.5 * density * kT / (mass * omega) + drag
+
+
+def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCalibration:
+    """Several parameters: one batch of boxes for each wanted number."""
+    observe, flow, rate, density, tolerance, box, boxes, dt = setup
+    wishes = {name: value for name, value in wishes.items() if value is not None}
+    if len(wishes) != len(parameters):
+        raise ValueError(
+            f"{len(parameters)} parameters {parameters} for {len(wishes)} wanted numbers {tuple(wishes)}; "
+            "give as many of viscosity=, pressure=, target="
+        )
+    for name in parameters:
+        _first_guess(fluid, name, None, None, density)
+    benches = []
+    for k, (name, value) in enumerate(wishes.items()):
+        one = {name: value}
+        _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)
+        wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
+        goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
+        benches.append(_bench(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt))
+    return descend(fluid, parameters, benches, tolerance, optimiser, MAX_POINTS, say)
 
 
 def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point:

@@ -9,11 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.calibrate.curve import Point
 from dpdjax.calibrate.goal import Goal
 from dpdjax.engine import status as bits
 from dpdjax.engine.record import mean
-from dpdjax.engine.simulate import Plan, advance
+from dpdjax.engine.simulate import Plan, advance, check_dt
 from dpdjax.engine.state import damping_rate, grow, initial_state, suggest_dt, suggest_skin
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
@@ -67,6 +66,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, run, dt=None) -> Be
     skin = suggest_skin(fluid, step)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
+    check_dt(fluid, jax.tree.map(lambda leaf: leaf[0], state), step)
     keys = jax.random.split(noise_key, boxes)
     thermal = thermal_time(fluid)
     weak = fluid.set(gamma=4.5 / thermal) if "gamma" in fluid.coefficients else fluid

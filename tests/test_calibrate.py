@@ -1,0 +1,240 @@
+"""Calibrations: the whole loop on a known fluid, refusals that say why, and two real ones on small boxes."""
+
+import math
+import sys
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from synthetic import FLUID, replace_runs
+
+import dpdjax as dpd
+from dpdjax.calibrate import experiment
+from dpdjax.calibrate.calibrate import TargetError, calibrate, drag_guess, measure_viscosity, rough_viscosity
+from dpdjax.calibrate.goal import pressure_goal, suggest_rate
+
+UPPER, LOWER = 1, -1
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    return replace_runs(monkeypatch)
+
+
+@pytest.mark.parametrize("target, sign, guess", [(1.5, UPPER, None), (1.2, UPPER, 1.0), (1.5, LOWER, 0.5), (1.2, LOWER, 40.0)])
+def test_answer_is_the_root(water, key, asked, target, sign, guess):
+    branch = "upper" if sign == UPPER else "lower"
+    fit = calibrate(water, viscosity=target, branch=branch, guess=guess, key=key)
+    exact = math.exp(FLUID.root(target, sign))
+    assert fit.estimate.deviation(exact) < 4
+    slope = abs(FLUID.slope(FLUID.root(target, sign))) / exact
+    assert fit.error * slope < 1.2 * 0.01 * target
+    assert fit.measured.deviation(target) < 4 and fit.measured.error <= 0.01 * target
+    assert fit.fluid.value("gamma") == fit.value and fit.fluid.value("a") == 25.0
+    assert (fit.parameter, fit.name, fit.target) == ("gamma", "viscosity", target)
+    assert str(fit) == f"gamma = {fit.estimate} gives viscosity {target:g}: a fresh run measured {fit.measured}"
+
+
+def test_errors_asked_for(water, key, asked):
+    """Coarse first, then fine, and the fresh run at half the tolerance."""
+    fit = calibrate(water, viscosity=1.5, guess=20.0, tolerance=0.04, key=key)
+    wanted = 0.5 * 0.04 * 1.5
+    assert asked[0] == pytest.approx(3 * wanted) and asked[-1] == pytest.approx(wanted)
+    assert np.allclose(asked[1:-1], 0.9 * wanted)
+    assert len(asked) == len(fit.history) + 1
+    assert fit.particle_steps == 1000 * len(asked)
+
+
+def test_error_bars_cover_the_root(water, key, monkeypatch):
+    deviations = []
+    for seed in range(60):
+        replace_runs(monkeypatch, seed)
+        deviations.append(calibrate(water, viscosity=1.5, guess=20.0, key=key).estimate.deviation(math.exp(FLUID.root(1.5, UPPER))))
+    assert 0.5 < np.mean(np.array(deviations) < 1) < 0.85
+
+
+def test_progress_is_reported(water, key, asked):
+    told = []
+    calibrate(water, viscosity=1.5, key=key, report=told.append)
+    assert told[0].startswith("gamma ") and "viscosity" in told[0] and "slope" in told[0]
+
+
+@pytest.mark.parametrize("branch, guess", [("upper", None), ("lower", 1.0)])
+def test_target_below_the_minimum_states_the_minimum(water, key, asked, branch, guess):
+    with pytest.raises(TargetError, match="viscosity 0.8 cannot be reached with gamma: the smallest measured is ") as raised:
+        calibrate(water, viscosity=0.8, branch=branch, guess=guess, key=key)
+    words = str(raised.value).replace(";", "").split()
+    value, error = float(words[words.index("+-") - 1]), float(words[words.index("+-") + 1])
+    assert abs(value - FLUID.value(FLUID.lowest)) < 4 * error < 0.1
+    assert abs(math.log(float(words[words.index("=") + 1])) - FLUID.lowest) < 0.3
+    assert len(raised.value.history) >= 3
+
+
+def test_giving_up_names_the_nearest(water, key, asked):
+    with pytest.raises(TargetError, match="no answer after 2 points and 2e.03 particle-steps: nearest is viscosity .* at gamma"):
+        calibrate(water, viscosity=3.0, guess=2.0, key=key, max_particle_steps=1500)
+
+
+def test_number_of_ones_own(water, key, asked):
+    fit = calibrate(water, target=1.5, observe=lambda fluid, state: 1.0, guess=20.0, key=key)
+    assert fit.estimate.deviation(math.exp(FLUID.root(1.5, UPPER))) < 4
+    assert fit.name == "value" and fit.rate == 0.0
+
+
+def test_measured_viscosity_is_as_good_as_asked(water, key, asked):
+    """The tolerance is relative to what was measured, not to the guess before it."""
+    measured = measure_viscosity(water.set(gamma=0.5), tolerance=0.02, key=key)
+    assert measured.estimate.deviation(FLUID.value(math.log(0.5))) < 4
+    assert measured.estimate.error <= 0.01 * measured.estimate.value
+    assert measured.series.shape[1] == len(measured.time)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({}, "give one of viscosity=, pressure= or target= with observe=; got none"),
+        ({"viscosity": 1.0, "pressure": 20.0}, "got viscosity and pressure"),
+        ({"target": 1.0}, "target= needs observe="),
+        ({"viscosity": 1.0, "branch": "left"}, "branch is 'left'; it is \"upper\""),
+        ({"viscosity": -1.0}, "viscosity is -1.0; it must be above zero"),
+        ({"viscosity": 0.0}, "viscosity is 0.0; it must be above zero"),
+        ({"viscosity": math.nan}, "viscosity is nan; it must be finite"),
+        ({"pressure": 0.0}, "pressure is 0, and no error bar"),
+        ({"viscosity": 1.0, "tolerance": 0.0}, "tolerance is 0.0; it must be above zero"),
+        ({"viscosity": 1.0, "density": -3.0}, "density is -3.0"),
+        ({"viscosity": 1.0, "guess": 0.0}, "guess is 0.0; it must be above zero"),
+        ({"viscosity": 1.0, "rate": -0.1}, "rate is -0.1; it must be above zero"),
+        ({"parameter": "mass", "pressure": 20.0}, r"mass is a table of shape \(1,\); only a scalar"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
+)
+def test_wrong_arguments(water, key, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        calibrate(water, key=key, **arguments)
+
+
+def never(*_, **__):
+    raise AssertionError("something ran")
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [({"dt": 10.0, "box": 4.0}, "dt 10 is too large for the drag"), ({"box": 1.5}, "box side 1.5 is below 2")],
+    ids=["dt", "box"],
+)
+def test_what_cannot_run_is_refused_before_it_runs(water, key, arguments, message, monkeypatch):
+    monkeypatch.setattr(dpd, "run", never)
+    monkeypatch.setattr(sys.modules["dpdjax.run"], "run", never)
+    with pytest.raises(ValueError, match=message):
+        calibrate(water, viscosity=1.0, key=key, **arguments)
+
+
+def test_wrong_names(water, key):
+    with pytest.raises(TypeError, match="no term of this fluid has 'gama'; it has kT, mass, a, gamma, r_c"):
+        calibrate(water, "gama", viscosity=1.0, key=key)
+    table = dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=[[4.0, 5.0], [5.0, 6.0]], r_c=1.0)], kT=1.0)
+    with pytest.raises(ValueError, match=r"gamma is a table of shape \(2, 2\); only a scalar can be calibrated"):
+        calibrate(table, viscosity=1.0, key=key)
+    with pytest.raises(TypeError, match="viscosity is 'thick'; a number"):
+        calibrate(water, viscosity="thick", key=key)
+    with pytest.raises(TypeError, match=r"key is the integer 0; give jax.random.key\(0\)"):
+        calibrate(water, viscosity=1.0, key=0)
+
+
+def test_fluid_without_drag_has_no_viscosity(water, key):
+    frictionless = water.set(gamma=0.0)
+    with pytest.raises(ValueError, match="no drag, so no steady viscosity"):
+        measure_viscosity(frictionless, key=key)
+    with pytest.raises(ValueError, match="no drag, so no steady viscosity"):
+        calibrate(frictionless, "a", viscosity=1.0, rate=0.1, key=key)
+
+
+def test_first_guesses(water):
+    """The drag stress of kinetic theory, and a rate that falls with the tolerance."""
+    gamma = drag_guess(water, 1.3, 3.0)
+    assert rough_viscosity(water.set(gamma=1e4 * gamma), 3.0) == pytest.approx(1.3e4, rel=1e-3)
+    rates = [suggest_rate(water, 3.0, 0.9, tolerance) for tolerance in (0.005, 0.02)]
+    assert rates[1] == pytest.approx(2 * rates[0])
+    assert suggest_rate(water, 3.0, 0.9, 10.0) <= 1.5
+
+
+def bench(seed, memory=0.5, most=None):
+    """Boxes whose values are noise about 1, each remembering a share of the one before."""
+    rng, last, done = np.random.default_rng(seed), np.zeros(4), []
+
+    def run(fluid, state, keys, dt, plan, flow, observe, progress):
+        nonlocal last
+        values = np.empty((4, plan.frames))
+        for k in range(plan.frames):
+            last = memory * last + math.sqrt(1 - memory**2) * rng.normal(size=4)
+            values[:, k] = 1 + last
+        done.append(plan)
+        return SimpleNamespace(final=state, frames={"value": -values}, complete=most is None or len(done) < most)
+
+    goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=SimpleNamespace(rate=0.3))
+    state = SimpleNamespace(position=np.zeros((4, 10, 3)))
+    return experiment.Bench(None, goal, 3.0, state, None, run, dt=0.01)
+
+
+def test_measurement_goes_on_until_its_error_is_met():
+    deviations = []
+    for seed in range(100):
+        boxes = bench(seed)
+        measured = experiment.measure(boxes, None, 0.06, 30.0, 10**9, lambda text: None)
+        assert measured.estimate.error <= 0.06
+        settled = 3 * experiment.PIECE.steps * 40
+        assert boxes.steps == settled + 40 * measured.series.shape[1] * experiment.PIECE.every
+        deviations.append(measured.estimate.deviation(1.0))
+    assert 0.55 < np.mean(np.array(deviations) < 1) < 0.8
+    assert measured.time[0] == pytest.approx(0.01 * experiment.PIECE.every)
+    assert (measured.dt, measured.rate) == (0.01, 0.3)
+
+
+def test_measurement_ends_where_the_steps_do():
+    measured = experiment.measure(bench(0), None, 1e-4, 0.0, 10**6, lambda text: None)
+    assert measured.particle_steps == 10**6 and measured.estimate.error > 1e-4
+
+
+def test_interrupt_goes_through():
+    """A run that Ctrl-C cut short returns; the calibration around it must not go on."""
+    with pytest.raises(KeyboardInterrupt):
+        experiment.measure(bench(0, most=3), None, 0.01, 0.0, 10**9, lambda text: None)
+
+
+def test_plateau_is_the_latest_sure_slope():
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(50, 8)) * np.array([0.01, 0.02, 0.05, 0.1, 0.2, 1.0, 5.0, 20.0])
+    rising = np.array([0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0, 1.0])
+    slope = experiment.plateau(rising + noise)
+    assert slope.deviation(1.0) < 4 and slope.error < 0.1
+    unsure = experiment.plateau(0.01 * rising + np.abs(noise[:, ::-1]) * np.sign(rng.normal(size=(50, 8))))
+    assert unsure.error < 0.03, "where no slope is sure, the least noisy"
+
+
+BOX = {"box": 3.0, "dt": 0.01}
+
+
+@pytest.fixture
+def short_pieces(monkeypatch):
+    monkeypatch.setattr(experiment, "PIECE", dpd.Plan(20, 20))
+
+
+def test_repulsion_of_a_pressure(water, key, short_pieces):
+    """The pressure of a = 25, measured directly, leads back to a = 25."""
+    boxes = experiment.prepare(water, pressure_goal(1.0), key, density=3.0, side=3.0, boxes=4, run=dpd.run, dt=0.01)
+    pressure = experiment.measure(boxes, water, 0.05, 1.0, 10**9, lambda text: None).estimate
+    assert pressure.value == pytest.approx(23.65, rel=0.02)
+    fit = calibrate(water, "a", pressure=pressure.value, guess=20.0, key=jax.random.key(1), **BOX)
+    slope = fit.curve.slope(math.log(fit.value)) / fit.value
+    assert slope == pytest.approx(0.85, rel=0.15)
+    assert abs(fit.value - 25.0) < 4 * math.hypot(fit.error, pressure.error / slope) < 0.6
+    assert fit.measured.deviation(pressure) < 4
+    assert fit.fluid.value("gamma") == 4.5
+
+
+def test_friction_of_a_viscosity(water, key, short_pieces):
+    """At a = 0 the viscosity 1.26 belongs to gamma 5, on the falling branch."""
+    fit = calibrate(water.set(a=0.0), viscosity=1.26, branch="lower", guess=4.0, tolerance=0.1, key=key, **BOX)
+    assert fit.estimate.deviation(5.0) < 4 and fit.error < 1.0
+    assert fit.measured.deviation(1.26) < 4 and fit.measured.error <= 0.05 * 1.26
