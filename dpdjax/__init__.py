@@ -15,7 +15,7 @@ _HOMES = {
     "dpdjax.engine.state": ["State", "initial_state", "grow", "suggest_dt", "suggest_skin"],
     "dpdjax.engine.record": ["mean", "integral"],
     "dpdjax.engine.simulate": ["Plan", "Trajectory", "simulate"],
-    "dpdjax.measure.observables": [
+    "dpdjax.engine.observables": [
         "configurational_temperature", "instantaneous_viscosity", "momentum", "positions", "pressure_by_origin",
         "pressure_tensor", "standard", "stresses", "temperature", "total_pressure",
     ],
@@ -26,10 +26,11 @@ _HOMES = {
         "einstein_helfand", "einstein_helfand_record", "extrapolate", "green_kubo", "green_kubo_record",
         "shear_record", "shear_viscosity", "sine_record", "sinusoidal_viscosity",
     ],
-    "dpdjax.calibrate.calibrate": ["Calibration", "TargetError", "calibrate", "measure_viscosity"],
-    "dpdjax.run": ["RunError", "run"],
-    "dpdjax.io": ["load_state", "save_state"],
-    "dpdjax.plot": ["plot_box", "plot_calibration", "plot_convergence"],
+    "dpdjax.calibration.calibrate": ["Calibration", "TargetError", "calibrate", "measure_viscosity"],
+    "dpdjax.calibration.joint": ["JointCalibration"],
+    "dpdjax.host.run": ["RunError", "run"],
+    "dpdjax.host.io": ["load_state", "save_state"],
+    "dpdjax.host.plot": ["plot_box", "plot_calibration", "plot_convergence"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)

@@ -66,7 +66,7 @@ def _common(parser):
     parser.add_argument("--density", type=float, default=3.0, help="beads per volume (default: 3)")
     parser.add_argument("--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)")
     parser.add_argument("--kT", type=float, default=1.0, help="thermal energy (default: 1)")
-    parser.add_argument("--dt", type=float, default=None, help="time step (default: from the drag, temperature error 0.5 %%)")
+    parser.add_argument("--dt", type=float, default=None, help="time step (default: temperature error below 0.5 %%)")
     parser.add_argument("--rate", type=float, default=None, help="shear rate (default: bias below half the tolerance)")
     parser.add_argument("--box", type=float, default=8.0, help="side of each of the boxes (default: 8)")
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
@@ -94,9 +94,8 @@ def _calibrate(arguments):
     import jax
 
     import dpdjax as dpd
-    from dpdjax.calibrate.calibrate import calibrate
 
-    fit = calibrate(
+    fit = dpd.calibrate(
         _water(arguments, 4.5 if arguments.gamma is None else arguments.gamma),
         "gamma",
         viscosity=arguments.viscosity,

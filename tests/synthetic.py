@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 
-from dpdjax.calibrate import experiment
-from dpdjax.calibrate.curve import Point
+from dpdjax.calibration import experiment
+from dpdjax.calibration.curve import Point
 from dpdjax.measure.statistics import Estimate
 
 
@@ -53,7 +53,7 @@ def replace_runs(monkeypatch, seed=0):
     rng, asked = np.random.default_rng(seed), []
     ln_gamma = lambda fluid: math.log(float(fluid.value("gamma")))
 
-    def prepare(fluid, goal, key, *, density, side, boxes, run, dt=None):
+    def prepare(fluid, goal, key, *, density, side, boxes, dt=None):
         state = SimpleNamespace(position=np.zeros((boxes, 10, 3)))
         keys = jax.random.split(key, boxes)
         return SimpleNamespace(goal=goal, state=state, keys=keys, steps=0, step_for=lambda fluid: 0.01)

@@ -11,8 +11,8 @@ import pytest
 import dpdjax
 
 ROOT = pathlib.Path(dpdjax.__file__).parent
-ROOMS = ["model", "engine", "measure", "calibrate"]
-HOST = {"run", "io", "plot", "cli"}
+ROOMS = ["model", "engine", "measure", "calibration"]
+HOST = {"host", "cli"}
 
 
 def name_of(path):
@@ -70,7 +70,7 @@ def test_public_name_lives_in_its_home(name):
 
 
 def test_public_names_are_no_modules_whatever_is_imported_first():
-    """Importing ``dpdjax.run`` sets the attribute ``run`` of the package to the module."""
+    """Importing ``dpdjax.host.run`` sets the attribute ``run`` of the package to the module."""
     code = """
 import dpdjax, importlib, inspect
 for home in dpdjax._HOME_OF.values():

@@ -1,8 +1,8 @@
 """Calibrations: the whole loop on a known fluid, refusals that say why, and two real ones on small boxes."""
 
 import math
-import sys
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -10,9 +10,9 @@ import pytest
 from synthetic import FLUID, replace_runs
 
 import dpdjax as dpd
-from dpdjax.calibrate import experiment
-from dpdjax.calibrate.calibrate import TargetError, calibrate, drag_guess, measure_viscosity, rough_viscosity
-from dpdjax.calibrate.goal import pressure_goal, suggest_rate
+from dpdjax.calibration import experiment
+from dpdjax.calibration.calibrate import TargetError, calibrate, drag_guess, measure_viscosity, rough_viscosity
+from dpdjax.calibration.goal import pressure_goal, suggest_rate
 
 UPPER, LOWER = 1, -1
 
@@ -118,16 +118,21 @@ def never(*_, **__):
     raise AssertionError("something ran")
 
 
-@pytest.mark.parametrize(
-    "arguments, message",
-    [({"dt": 10.0, "box": 4.0}, "dt 10 is too large for the drag"), ({"box": 1.5}, "box side 1.5 is below 2")],
-    ids=["dt", "box"],
-)
-def test_what_cannot_run_is_refused_before_it_runs(water, key, arguments, message, monkeypatch):
-    monkeypatch.setattr(dpd, "run", never)
-    monkeypatch.setattr(sys.modules["dpdjax.run"], "run", never)
-    with pytest.raises(ValueError, match=message):
-        calibrate(water, viscosity=1.0, key=key, **arguments)
+def test_what_cannot_run_is_refused_before_it_runs(water, key, fresh, monkeypatch):
+    monkeypatch.setattr(experiment, "replayed", never)
+    with pytest.raises(ValueError, match="box side 1.5 is below 2"):
+        calibrate(water, viscosity=1.0, box=1.5, key=key)
+    monkeypatch.setattr(experiment, "initial_state", lambda *_, **__: fresh)
+    with pytest.raises(ValueError, match="dt 10 is too large for the drag"):
+        calibrate(water, viscosity=1.0, dt=10.0, key=key)
+
+
+def test_fixed_step_too_long_for_the_next_drag_is_refused(ideal, key, fresh, monkeypatch):
+    state = jax.tree.map(lambda leaf: leaf[None], fresh)
+    boxes = experiment.Bench(ideal, pressure_goal(1.0), 3.0, state, jax.random.split(key, 1), dt=0.02)
+    monkeypatch.setattr(experiment, "replayed", never)
+    with pytest.raises(ValueError, match="dt 0.02 is too large for the drag"):
+        experiment.measure(boxes, ideal.set(gamma=100.0), 0.1, 0.0, 10**9, lambda text: None)
 
 
 def test_wrong_names(water, key):
@@ -159,28 +164,34 @@ def test_first_guesses(water):
     assert suggest_rate(water, 3.0, 0.9, 10.0) <= 1.5
 
 
-def bench(seed, memory=0.5, most=None):
+def noisy_boxes(monkeypatch, seed, memory=0.5):
     """Boxes whose values are noise about 1, each remembering a share of the one before."""
-    rng, last, done = np.random.default_rng(seed), np.zeros(4), []
+    rng, last = np.random.default_rng(seed), np.zeros(4)
 
-    def run(fluid, state, keys, dt, plan, flow, observe, progress):
+    def replayed(fluid, state, keys, dt, plan, flow, observe):
         nonlocal last
         values = np.empty((4, plan.frames))
         for k in range(plan.frames):
             last = memory * last + math.sqrt(1 - memory**2) * rng.normal(size=4)
             values[:, k] = 1 + last
-        done.append(plan)
-        return SimpleNamespace(final=state, frames={"value": -values}, complete=most is None or len(done) < most)
+        return state, {"value": -values}
 
+    monkeypatch.setattr(experiment, "replayed", replayed)
+    monkeypatch.setattr(experiment, "check_dt", lambda fluid, state, dt: None)
     goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=SimpleNamespace(rate=0.3))
-    state = SimpleNamespace(position=np.zeros((4, 10, 3)))
-    return experiment.Bench(None, goal, 3.0, state, None, run, dt=0.01)
+    state = Boxes(np.zeros((4, 10, 3)), np.zeros(4, np.uint32))
+    return experiment.Bench(None, goal, 3.0, state, None, dt=0.01)
 
 
-def test_measurement_goes_on_until_its_error_is_met():
+class Boxes(NamedTuple):
+    position: np.ndarray
+    status: np.ndarray
+
+
+def test_measurement_goes_on_until_its_error_is_met(monkeypatch):
     deviations = []
     for seed in range(100):
-        boxes = bench(seed)
+        boxes = noisy_boxes(monkeypatch, seed)
         measured = experiment.measure(boxes, None, 0.06, 30.0, 10**9, lambda text: None)
         assert measured.estimate.error <= 0.06
         settled = 3 * experiment.PIECE.steps * 40
@@ -191,15 +202,16 @@ def test_measurement_goes_on_until_its_error_is_met():
     assert (measured.dt, measured.rate) == (0.01, 0.3)
 
 
-def test_measurement_ends_where_the_steps_do():
-    measured = experiment.measure(bench(0), None, 1e-4, 0.0, 10**6, lambda text: None)
+def test_measurement_ends_where_the_steps_do(monkeypatch):
+    measured = experiment.measure(noisy_boxes(monkeypatch, 0), None, 1e-4, 0.0, 10**6, lambda text: None)
     assert measured.particle_steps == 10**6 and measured.estimate.error > 1e-4
 
 
-def test_interrupt_goes_through():
-    """A run that Ctrl-C cut short returns; the calibration around it must not go on."""
-    with pytest.raises(KeyboardInterrupt):
-        experiment.measure(bench(0, most=3), None, 0.01, 0.0, 10**9, lambda text: None)
+def test_run_that_breaks_stops_the_calibration(monkeypatch):
+    boxes = noisy_boxes(monkeypatch, 0)
+    boxes.state = boxes.state._replace(status=np.array([0, 4, 0, 0], np.uint32))
+    with pytest.raises(RuntimeError, match="the calibration stopped: positions or velocities became NaN"):
+        experiment.measure(boxes, None, 0.01, 0.0, 10**9, lambda text: None)
 
 
 def test_plateau_is_the_latest_sure_slope():
@@ -222,7 +234,7 @@ def short_pieces(monkeypatch):
 
 def test_repulsion_of_a_pressure(water, key, short_pieces):
     """The pressure of a = 25, measured directly, leads back to a = 25."""
-    boxes = experiment.prepare(water, pressure_goal(1.0), key, density=3.0, side=3.0, boxes=4, run=dpd.run, dt=0.01)
+    boxes = experiment.prepare(water, pressure_goal(1.0), key, density=3.0, side=3.0, boxes=4, dt=0.01)
     pressure = experiment.measure(boxes, water, 0.05, 1.0, 10**9, lambda text: None).estimate
     assert pressure.value == pytest.approx(23.65, rel=0.02)
     fit = calibrate(water, "a", pressure=pressure.value, guess=20.0, key=jax.random.key(1), **BOX)

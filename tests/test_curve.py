@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import FLUID, sample
 
-from dpdjax.calibrate.curve import Curve, Point, fit, propose
+from dpdjax.calibration.curve import Curve, Point, fit, propose
 from dpdjax.measure.statistics import Estimate
 
 UPPER, LOWER = 1, -1

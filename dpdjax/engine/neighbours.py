@@ -36,6 +36,7 @@ class Grid:
         cells: cells along each side, or None to test all pairs (small boxes).
         window: slots tested per range of the stencil, a multiple of 32.
         capacity: pairs the list holds.
+        sheared: whether the cells are wide enough for a tilted box.
     """
 
     reach: float
@@ -43,6 +44,7 @@ class Grid:
     cells: tuple[int, int, int] | None
     window: int
     capacity: int
+    sheared: bool = True
 
     def grown(self, pairs: bool, windows: bool) -> "Grid":
         """A grid with half as much again of what overflowed."""
@@ -72,13 +74,13 @@ def plan_grid(n: int, lengths, reach: float, skin: float, sheared: bool = True) 
     capacity = min(_round_up(int(1.1 * pairs + 6 * math.sqrt(pairs)) + 64, 256), max(n * (n - 1) // 2, 1))
     cells = np.floor(boxes.narrowest(lengths, sheared) / cut * (1 + 1e-6)).astype(int)
     if np.any(cells < 3) or n < 200:
-        return Grid(reach, skin, None, 0, capacity)
+        return Grid(reach, skin, None, 0, capacity, sheared)
     # More cells than one for every two beads cost more to index than they save.
     most = max(3, int(np.cbrt(n / 2)) + 1)
     cells = np.minimum(cells, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))).astype(int)
     per_range = 3 * n / cells.prod()
     window = _round_up(int(per_range + 4 * math.sqrt(per_range)), WORD)
-    return Grid(reach, skin, tuple(int(c) for c in cells), window, capacity)
+    return Grid(reach, skin, tuple(int(c) for c in cells), window, capacity, sheared)
 
 
 def _round_up(value: int, unit: int) -> int:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from dpdjax.engine.observables import standard
+
 
 @dataclasses.dataclass(frozen=True)
 class Recorder:
@@ -22,18 +24,23 @@ class Recorder:
         """An empty sum, of the shape the observable has."""
         if not self.accumulates:
             return ()
-        shapes = jax.eval_shape(self.observe, fluid, state)
+        shapes = jax.eval_shape(self.now, fluid, state)
         return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
     def add(self, total, fluid, state):
-        return jax.tree.map(jnp.add, total, self.observe(fluid, state)) if self.accumulates else ()
+        return jax.tree.map(jnp.add, total, self.now(fluid, state)) if self.accumulates else ()
+
+    def now(self, fluid, state) -> dict:
+        """The observable by name; one that returns an array goes under its own."""
+        value = self.observe(fluid, state)
+        return value if isinstance(value, dict) else {getattr(self.observe, "__name__", "value"): value}
 
     def value(self, fluid, state, total, dt, every):
         if self.how == "mean":
             return jax.tree.map(lambda t: t / every, total)
         if self.how == "integral":
             return jax.tree.map(lambda t: t * dt, total)
-        return self.observe(fluid, state)
+        return self.now(fluid, state)
 
 
 def mean(observe: Callable) -> Recorder:
@@ -49,8 +56,6 @@ def integral(observe: Callable) -> Recorder:
 def recorders(observe) -> list[Recorder]:
     """One observable, recorder or a sequence of either, as a list of recorders."""
     if observe is None:
-        from dpdjax.measure.observables import standard
-
         observe = standard
     many = observe if isinstance(observe, (list, tuple)) else [observe]
     for one in many:

@@ -111,8 +111,7 @@ def simulate(
     every gradient; ``dpd.run`` repairs overflows instead.
     """
     check_run(fluid, state, key, dt, flow)
-    if not isinstance(plan, Plan):
-        raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
+    check_plan(plan)
     if fluid.is_batch or jnp.ndim(dt) or (flow is not None and flow.batch_axes() is not None):
         raise ValueError(
             "a number of the fluid, the flow or dt has one axis too many: a batch; "
@@ -126,7 +125,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
     """:func:`simulate` without checks and without the poison."""
     flow = flows.quiet() if flow is None else flow
     dtype = state.position.dtype
-    dt, lam = jnp.asarray(dt, dtype), jnp.asarray(lam, dtype)
+    fluid, flow, dt, lam = jax.tree.map(lambda x: jnp.asarray(x, dtype), (fluid, flow, dt, lam))
     how = recorders(observe)
     # Interval records need the pair sums of every step; instantaneous ones of the last step only.
     each = any(r.accumulates for r in how)
@@ -196,9 +195,20 @@ def check_run(fluid, state, key, dt, flow):
             f"positions {shape} and velocities {jnp.shape(state.velocity)} must both be (beads, 3); "
             "for a batch use jax.vmap, or dpd.run with a vector of keys"
         )
-    if len(state.neighbours) != len(fluid.interactions):
-        raise ValueError(f"{len(state.neighbours)} lists for {len(fluid.interactions)} interactions: make the state with this fluid")
+    lists, wanted = len(state.neighbours), len(fluid.interactions)
+    if lists != wanted:
+        raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
+    if isinstance(flow, flows.Shear) and not all(n.grid.sheared for n in state.neighbours):
+        raise ValueError("this state was made with sheared=False and its lists miss pairs of a tilted box: make it without")
+    if is_concrete(state.species) and int(np.max(state.species, initial=0)) >= fluid.species:
+        raise ValueError(f"the state has species {int(np.max(state.species))}, the fluid knows 0 to {fluid.species - 1}")
     check_dt(fluid, state, dt)
+
+
+def check_plan(plan):
+    """Raise TypeError for anything but a :class:`Plan`."""
+    if not isinstance(plan, Plan):
+        raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
 
 
 def check_dt(fluid, state, dt):

@@ -121,7 +121,7 @@ def initial_state(
         dt: time step the skin is chosen for; by default :func:`suggest_dt`.
         sheared: leave room in the lists for a tilted box.
 
-    Returns a :class:`State`; works under ``vmap`` over ``key`` and over ``fluid``.
+    Returns a :class:`State`; works under ``vmap`` over ``key``.
 
     Raises:
         ValueError: a box below ``2 (reach + skin)``, density x volume below 2, counts

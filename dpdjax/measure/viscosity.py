@@ -17,8 +17,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine.record import Recorder, integral, mean
-from dpdjax.measure.observables import (
+from dpdjax.engine.observables import (
     instantaneous_viscosity,
     momentum,
     standard,
@@ -26,6 +25,7 @@ from dpdjax.measure.observables import (
     temperature,
     total_pressure,
 )
+from dpdjax.engine.record import Recorder, integral, mean
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import not_negative, positive
-from dpdjax.model.term import Term, replace_coefficients
+from dpdjax.checks import not_negative, number, positive
+from dpdjax.model.term import Term, check_table, replace_coefficients
 
 
 @jax.tree_util.register_dataclass
@@ -109,6 +109,8 @@ class Fluid:
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
         _check_coefficients(numbers)
+        for name, value in numbers.items():
+            check_table(name, number(value, name), self.species)
         interactions = tuple(
             dataclasses.replace(
                 interaction,
@@ -120,7 +122,9 @@ class Fluid:
         return Fluid(interactions, kT, mass)
 
 
-def fluid(conservative: Sequence[Term] = (), drag: Sequence[Term] = (), *, kT, mass=1.0, species: int | None = None) -> Fluid:
+def fluid(
+    conservative: Sequence[Term] = (), drag: Sequence[Term] = (), *, kT, mass=1.0, species: int | None = None
+) -> Fluid:
     """A fluid of one group of beads, of one or several species.
 
     Args:
@@ -135,7 +139,7 @@ def fluid(conservative: Sequence[Term] = (), drag: Sequence[Term] = (), *, kT, m
             different size, no term at all.
         TypeError: something that is not a term.
     """
-    conservative, drag = tuple(conservative), tuple(drag)
+    conservative, drag = (((t,) if isinstance(t, Term) else tuple(t)) for t in (conservative, drag))
     for t in conservative + drag:
         if not isinstance(t, Term):
             raise TypeError(f"{t!r} is not a term; write dpd.term(law, coefficient=...)")

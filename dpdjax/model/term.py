@@ -60,7 +60,9 @@ def term(law: Callable, *, reach=None, **coefficients) -> Term:
         raise TypeError(f"{name} lacks {', '.join(missing)}; give {missing[0]}=... to dpd.term")
     values = {k: number(v, k) for k, v in coefficients.items()}
     for k, v in values.items():
-        _check_table(k, v)
+        if v.ndim in (1, 3):
+            raise ValueError(f"{k} has shape {v.shape}; give a number or a square (species, species) table")
+        check_table(k, v)
     if reach is None and "r_c" not in values:
         raise ValueError(f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)")
     return Term(law, values, None if reach is None else positive(reach, f"reach of {name}"))
@@ -71,10 +73,14 @@ def _keyword_parameters(law) -> dict[str, bool]:
     return {p.name: p.default is p.empty for p in parameters if p.kind is p.KEYWORD_ONLY}
 
 
-def _check_table(name, value):
-    if value.ndim not in (0, 2) or (value.ndim == 2 and value.shape[0] != value.shape[1]):
-        raise ValueError(f"{name} has shape {value.shape}; give a number or a square (species, species) table")
-    if value.ndim == 2 and is_concrete(value) and not np.allclose(value, np.transpose(value)):
+def check_table(name, value, species: int | None = None):
+    """Raise ValueError unless ``value`` is a number or a symmetric table, or a batch of either."""
+    if value.ndim in (0, 1):
+        return
+    if value.ndim > 3 or value.shape[-1] != value.shape[-2] or species not in (None, value.shape[-1]):
+        wanted = "square (species, species)" if species is None else f"({species}, {species})"
+        raise ValueError(f"{name} has shape {value.shape}; give a number or a {wanted} table")
+    if is_concrete(value) and not np.allclose(value, np.swapaxes(value, -1, -2)):
         raise ValueError(f"the table of {name} is not symmetric: pair (i, j) and (j, i) must agree")
 
 

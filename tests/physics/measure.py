@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import dpdjax as dpd
-from dpdjax.calibrate import experiment
-from dpdjax.calibrate.goal import viscosity_goal
+from dpdjax.calibration import experiment
+from dpdjax.calibration.goal import viscosity_goal
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
 HERE = Path(__file__).parent
@@ -83,7 +83,7 @@ def lammps(**wanted):
 def pressure():
     """Pressure, energy and structure of water at a small step."""
     dt = 0.0025
-    state, keys = boxes(WATER, 10.0, 4, dt, seed=1)
+    state, keys = boxes(WATER, 10.0, 2, dt, seed=1)
     run = go(WATER, state, keys, dt, 40.0, 40, observe=[dpd.stresses, dpd.standard])
     static = run.frames["pressure_kinetic"] + run.frames["pressure_conservative"]
     p = block_average(np.trace(static, axis1=-2, axis2=-1) / 3)
@@ -208,7 +208,7 @@ def tangents(matter, name, dt, rate, duration, windows, side=10.0, count=4, seed
     goal = viscosity_goal(1.0, rate)
     state, keys = boxes(matter, side, count, dt, seed)
     state = go(matter, state, keys, dt, 5.0, 50, goal.flow).final
-    bench = experiment.Bench(matter, goal, 3.0, state, keys, dpd.run, dt)
+    bench = experiment.Bench(matter, goal, 3.0, state, keys, dt)
     plan = dpd.Plan(frames, max(1, round(duration / dt / frames)))
     found = [experiment.window_tangents(bench, matter, name, dt, plan) for _ in range(windows)]
     slopes = goal.scale * np.concatenate(found) / float(matter.value(name))

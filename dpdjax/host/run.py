@@ -1,7 +1,5 @@
 """The host door: a run in chunks of a compiled program, repaired, reported and interruptible."""
 
-import dataclasses
-import functools
 import sys
 
 import jax
@@ -12,13 +10,13 @@ from tqdm import tqdm
 from dpdjax.checks import prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
+from dpdjax.engine.chunk import batched, complete_lists, replayed
 from dpdjax.engine.record import recorders
-from dpdjax.engine.simulate import Plan, Trajectory, advance, check_run, list_trouble
-from dpdjax.engine.state import State, grow
+from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
+from dpdjax.engine.state import State
 
 CHUNK = 1_000_000
 """Particle-steps between two looks at the status: about a second."""
-MAX_GROWTHS = 12
 
 
 class RunError(RuntimeError):
@@ -48,11 +46,12 @@ def run(
     """
     key = prng_key(key)
     flow = flows.quiet() if flow is None else flow
-    state = _batched(state, key)
+    state = batched(state, key)
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
+    check_plan(plan)
     check_run(fluid, one, key, dt, flow)
     _check_members(fluid, dt, flow, key)
-    state = _complete_lists(state)
+    state = complete_lists(state)
     _refuse(fluid, state, key)
     observe = tuple(recorders(observe))
     numbers = (fluid, dt, flow, lam)
@@ -62,8 +61,8 @@ def run(
     bar = tqdm(total=plan.steps, unit="step", disable=not progress, mininterval=0.5)
     try:
         while done < plan.frames:
-            chunk = Plan(min(size, plan.frames - done), plan.every)
-            after, frames = _replayed(numbers, state, key, chunk, observe)
+            chunk = Plan(next_chunk(size, plan.frames - done), plan.every)
+            after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam)
             broken = bits.describe(after.status)
             if broken:
                 partial = _trajectory(state, pieces, numbers, plan, complete=False)
@@ -81,33 +80,18 @@ def run(
 
 
 def chunk_frames(plan: Plan, beads: int) -> int:
-    """Frames in a chunk: about ``CHUNK`` particle-steps, a divisor of the plan where one is near."""
-    aim = max(1, min(plan.frames, round(CHUNK / (plan.every * beads))))
-    near = [d for d in range(max(1, aim // 2), min(plan.frames, 2 * aim) + 1) if plan.frames % d == 0]
+    """Frames in a chunk: about ``CHUNK`` particle-steps, a divisor of the plan where one is near.
+
+    At least two where there are two: XLA compiles a loop of one trip to other rounding.
+    """
+    aim = max(2, min(plan.frames, round(CHUNK / (plan.every * beads))))
+    near = [d for d in range(max(2, aim // 2), min(plan.frames, 2 * aim) + 1) if plan.frames % d == 0]
     return min(near, key=lambda d: abs(d - aim)) if near else aim
 
 
-def _replayed(numbers, state, key, plan, observe):
-    """One chunk; grown lists and the same noise until nothing overflows."""
-    for _ in range(MAX_GROWTHS):
-        after, frames = _chunk(*numbers, state, key, plan, observe)
-        status = np.bitwise_or.reduce(np.asarray(after.status).ravel())
-        if not status & bits.OVERFLOWS:
-            return after, frames
-        state = grow(state, bool(status & bits.PAIRS_OVERFLOW), bool(status & bits.WINDOW_OVERFLOW))
-    return after, frames
-
-
-@functools.partial(jax.jit, static_argnames=("plan", "observe"))
-def _chunk(fluid, dt, flow, lam, state, key, plan, observe):
-    def one(fluid, dt, flow, state, key):
-        trajectory = advance(fluid, state, key, dt, plan, flow, observe, lam)
-        return trajectory.final, trajectory.frames
-
-    if not key.ndim:
-        return one(fluid, dt, flow, state, key)
-    axes = (fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes(), 0, 0)
-    return jax.vmap(one, axes)(fluid, dt, flow, state, key)
+def next_chunk(size: int, left: int) -> int:
+    """``size`` frames, or all that is left where that would leave a single one."""
+    return left if left <= size + 1 else size
 
 
 def _check_members(fluid, dt, flow, key):
@@ -121,30 +105,6 @@ def _check_members(fluid, dt, flow, key):
                 f"numbers for {members} members and keys of shape {key.shape}: "
                 f"give {members} keys, jax.random.split(key, {members})"
             )
-
-
-def _batched(state, key):
-    """The state with the batch axis that the keys ask for."""
-    members = state.position.shape[0] if state.position.ndim == 3 else None
-    if not key.ndim:
-        if members is not None:
-            raise ValueError(f"the state is a batch of {members}; give {members} keys: jax.random.split(key, {members})")
-        return state
-    if members is None:
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (key.shape[0], *jnp.shape(leaf))), state)
-    if members != key.shape[0]:
-        raise ValueError(f"{key.shape[0]} keys for a batch of {members} states; give one key for each")
-    return state
-
-
-def _complete_lists(state):
-    """The state with lists large enough for where the beads are now."""
-    for _ in range(MAX_GROWTHS):
-        codes = [np.asarray(n.list.error.code) for n in state.neighbours]
-        if not any(np.any(c) for c in codes):
-            break
-        state = grow(state, any(np.any(c & 1) for c in codes), any(np.any(c & 2) for c in codes))
-    return dataclasses.replace(state, status=jnp.zeros_like(state.status))
 
 
 def _refuse(fluid, state, key):

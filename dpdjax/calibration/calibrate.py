@@ -8,10 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from dpdjax.calibrate import experiment
-from dpdjax.calibrate.curve import Curve, Point, propose
-from dpdjax.calibrate.goal import Goal, custom_goal, damped, pressure_goal, suggest_rate, viscosity_goal
-from dpdjax.calibrate.joint import JointCalibration, descend
+from dpdjax.calibration import experiment
+from dpdjax.calibration.curve import Curve, Point, propose
+from dpdjax.calibration.goal import Goal, custom_goal, damped, pressure_goal, suggest_rate, viscosity_goal
+from dpdjax.calibration.joint import JointCalibration, descend
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.measure.statistics import Estimate
 
@@ -246,10 +246,8 @@ def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point
 
 
 def _bench(fluid, goal, key, density, box, boxes, dt):
-    from dpdjax.run import run
-
     side = 8.0 * max(i.reach for i in fluid.interactions) if box is None else box
-    return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, run=run, dt=dt)
+    return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt)
 
 
 def _check_goal(viscosity, pressure, target, observe):

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import optax
 
-from dpdjax.calibrate import experiment
+from dpdjax.calibration import experiment
 from dpdjax.measure.statistics import Estimate
 
 NEAR = 0.5

@@ -9,8 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 
 from dpdjax.engine import flow as flows
+from dpdjax.engine.observables import pressure_by_origin, pressure_tensor
 from dpdjax.engine.state import damping_rate
-from dpdjax.measure.observables import pressure_by_origin, pressure_tensor
 
 
 @dataclasses.dataclass(frozen=True)

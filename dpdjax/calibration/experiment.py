@@ -9,9 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.calibrate.goal import Goal
+from dpdjax.calibration.goal import Goal
 from dpdjax.engine import status as bits
-from dpdjax.engine.record import mean
+from dpdjax.engine.chunk import complete_lists, replayed
+from dpdjax.engine.flow import quiet
+from dpdjax.engine.observables import standard
+from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.simulate import Plan, advance, check_dt
 from dpdjax.engine.state import damping_rate, grow, initial_state, suggest_dt, suggest_skin
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
@@ -33,7 +36,6 @@ class Bench:
         density: beads per volume.
         state: a batch of states.
         keys: one noise key per box.
-        run: the host door ``dpdjax.run.run``, passed in from above.
         dt: fixed time step, or None to follow the drag.
         steps: particle-steps spent so far.
     """
@@ -43,7 +45,6 @@ class Bench:
     density: float
     state: Any
     keys: Any
-    run: Any
     dt: float | None = None
     steps: int = 0
 
@@ -55,7 +56,7 @@ class Bench:
         return int(np.prod(self.state.position.shape[:2]))
 
 
-def prepare(fluid, goal: Goal, key, *, density, side, boxes, run, dt=None) -> Bench:
+def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     """A batch of boxes in equilibrium.
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
@@ -66,13 +67,14 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, run, dt=None) -> Be
     skin = suggest_skin(fluid, step)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
-    check_dt(fluid, jax.tree.map(lambda leaf: leaf[0], state), step)
+    _check_dt(fluid, state, step)
     keys = jax.random.split(noise_key, boxes)
     thermal = thermal_time(fluid)
     weak = fluid.set(gamma=4.5 / thermal) if "gamma" in fluid.coefficients else fluid
     plan = Plan(10, 50)
-    state = _whole(run(weak, state, keys, min(0.01 * thermal, 2 * suggest_dt(weak, density)), plan, progress=False)).final
-    bench = Bench(fluid, goal, density, state, keys, run, dt)
+    long = min(0.01 * thermal, 2 * suggest_dt(weak, density))
+    state, _ = _replayed(weak, complete_lists(state), keys, long, plan, quiet(), standard)
+    bench = Bench(fluid, goal, density, state, keys, dt)
     bench.steps += plan.steps * bench.beads
     return bench
 
@@ -116,6 +118,7 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
         report: ``report(text)``, told of the progress.
     """
     dt = bench.step_for(fluid)
+    _check_dt(fluid, bench.state, dt)
     piece_time = dt * PIECE.steps
     for _ in range(math.ceil(settle / piece_time)):
         _extend(bench, fluid, dt)
@@ -136,20 +139,25 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     return Measurement(estimate, values, times, dt, float(bench.goal.flow.rate), bench.steps)
 
 
+def _check_dt(fluid, state, dt):
+    """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next drag."""
+    check_dt(fluid, jax.tree.map(lambda leaf: leaf[0], state), dt)
+
+
 def _extend(bench, fluid, dt):
-    piece = _whole(bench.run(
-        fluid, bench.state, bench.keys, dt, PIECE, bench.goal.flow, observe=mean(bench.goal.observe), progress=False
-    ))  # fmt: skip
-    bench.state = piece.final
-    bench.steps += PIECE.steps * bench.beads
-    return piece.frames
+    plan, goal = PIECE, bench.goal
+    bench.state, frames = _replayed(fluid, bench.state, bench.keys, dt, plan, goal.flow, mean(goal.observe))
+    bench.steps += plan.steps * bench.beads
+    return jax.device_get(frames)
 
 
-def _whole(trajectory):
-    """The trajectory, unless Ctrl-C has cut it short: then the interrupt goes on."""
-    if not trajectory.complete:
-        raise KeyboardInterrupt
-    return trajectory
+def _replayed(fluid, state, keys, dt, plan, flow, observe):
+    """:func:`replayed`, with an error where growth could not repair the run."""
+    after, frames = replayed(fluid, state, keys, dt, plan, flow, tuple(recorders(observe)))
+    trouble = bits.describe(after.status)
+    if trouble:
+        raise RuntimeError(f"the calibration stopped: {trouble}")
+    return after, frames
 
 
 def _estimate(series, noise, scale) -> Estimate:

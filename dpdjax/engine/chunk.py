@@ -1,0 +1,69 @@
+"""A piece of a run on the host: one compiled program, replayed with larger lists where one overflows."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.engine import status as bits
+from dpdjax.engine.simulate import Plan, advance
+from dpdjax.engine.state import State, grow
+
+MAX_GROWTHS = 12
+
+
+def batched(state: State, key) -> State:
+    """The state with the batch axis that a vector of keys asks for.
+
+    Raises ValueError where the numbers of states and of keys disagree.
+    """
+    members = state.position.shape[0] if state.position.ndim == 3 else None
+    if not key.ndim:
+        if members is not None:
+            cure = f"give {members} keys: jax.random.split(key, {members})"
+            raise ValueError(f"the state is a batch of {members}; {cure}")
+        return state
+    if members is None:
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (key.shape[0], *jnp.shape(leaf))), state)
+    if members != key.shape[0]:
+        raise ValueError(f"{key.shape[0]} keys for a batch of {members} states; give one key for each")
+    return state
+
+
+def complete_lists(state: State) -> State:
+    """The state with lists large enough for where the beads are now, and a clear status."""
+    for _ in range(MAX_GROWTHS):
+        codes = [np.asarray(n.list.error.code) for n in state.neighbours]
+        if not any(np.any(c) for c in codes):
+            break
+        state = grow(state, any(np.any(c & 1) for c in codes), any(np.any(c & 2) for c in codes))
+    return dataclasses.replace(state, status=jnp.zeros_like(state.status))
+
+
+def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam=0.5):
+    """Run a plan; grow the lists and replay it with the same noise until nothing overflows.
+
+    ``state``, ``key`` and any number may be a batch. Returns (final state, frames); the
+    status of the state holds what growth could not repair.
+    """
+    for _ in range(MAX_GROWTHS):
+        after, frames = _compiled(fluid, dt, flow, lam, state, key, plan, observe)
+        status = np.bitwise_or.reduce(np.asarray(after.status).ravel())
+        if not status & bits.OVERFLOWS:
+            return after, frames
+        state = grow(state, bool(status & bits.PAIRS_OVERFLOW), bool(status & bits.WINDOW_OVERFLOW))
+    return after, frames
+
+
+@functools.partial(jax.jit, static_argnames=("plan", "observe"))
+def _compiled(fluid, dt, flow, lam, state, key, plan, observe):
+    def one(fluid, dt, flow, state, key):
+        trajectory = advance(fluid, state, key, dt, plan, flow, observe, lam)
+        return trajectory.final, trajectory.frames
+
+    if not key.ndim:
+        return one(fluid, dt, flow, state, key)
+    axes = (fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes(), 0, 0)
+    return jax.vmap(one, axes)(fluid, dt, flow, state, key)
