@@ -68,9 +68,9 @@ def _common(parser):
     parser.add_argument("--kT", type=float, default=1.0, help="thermal energy (default: 1)")
     parser.add_argument("--dt", type=float, default=None, help="time step (default: temperature error below 0.5 %%)")
     parser.add_argument("--rate", type=float, default=None, help="shear rate (default: bias below half the tolerance)")
-    parser.add_argument("--box", type=float, default=8.0, help="side of each of the boxes (default: 8)")
+    parser.add_argument("--box", type=float, default=10.0, help="side of each of the two boxes (default: 10)")
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
-    parser.add_argument("--tolerance", type=float, default=0.02, help="relative; the standard error is half (default: 0.02)")
+    parser.add_argument("--tolerance", type=float, default=0.02, help="relative; the standard error is a third (default: 0.02)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--plot", metavar="FILE.png", default=None, help="draw the result into a file")
 
@@ -162,13 +162,16 @@ def _viscosity(arguments):
 
 
 def _readable(result) -> str:
+    from dpdjax.measure.statistics import Estimate
+
     lines = []
     if "target" in result:
         lines.append(f"wanted viscosity {result['target']:g}")
-        lines.append(f"gamma     = {result['gamma']:.2f} +- {result['gamma_error']:.2f}")
+        lines.append(f"gamma     = {Estimate(result['gamma'], result['gamma_error'])}")
     else:
         lines.append(f"gamma     = {result['gamma']:g}")
-    lines.append(f"viscosity = {result['viscosity']:.4f} +- {result['viscosity_error']:.4f}   (a fresh run at this gamma)")
+    viscosity = Estimate(result["viscosity"], result["viscosity_error"])
+    lines.append(f"viscosity = {viscosity}   (a fresh run at this gamma)")
     lines.append(
         f"dt {result['dt']:.3g}, shear rate {result['rate']:.3g}, "
         f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s"

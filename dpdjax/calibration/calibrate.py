@@ -11,7 +11,7 @@ import numpy as np
 from dpdjax.calibration import experiment
 from dpdjax.calibration.curve import Curve, Point, propose
 from dpdjax.calibration.goal import Goal, custom_goal, damped, pressure_goal, suggest_rate, viscosity_goal
-from dpdjax.calibration.joint import JointCalibration, descend
+from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.measure.statistics import Estimate
 
@@ -94,7 +94,7 @@ def calibrate(
     dt: float | None = None,
     rate: float | None = None,
     box: float | None = None,
-    boxes: int = 4,
+    boxes: int = 2,
     max_particle_steps: float = 2e9,
     optimiser=None,
     report=None,
@@ -118,12 +118,12 @@ def calibrate(
             and the ``flow`` it is measured in.
         density: beads per volume.
         tolerance: relative; the standard error of the wanted number at the answer, in the
-            fit and in the fresh run, is at most half of it.
+            fit and in the fresh run, is at most a third of it.
         branch: ``"upper"`` where the number rises with the parameter, ``"lower"`` where it
             falls: viscosity has a minimum in gamma, and two gammas above it.
         dt: time step; by default ``suggest_dt``, following the drag.
         rate: shear rate; by default ``suggest_rate``.
-        box: side of each box; by default 8 interaction ranges.
+        box: side of each box; by default 10 interaction ranges.
         boxes: boxes in the batch.
         max_particle_steps: give up beyond.
         optimiser: an ``optax.GradientTransformation``, for several parameters.
@@ -149,7 +149,7 @@ def calibrate(
     fluid = fluid.set(**{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
-    wanted = 0.5 * tolerance * abs(goal.target)
+    wanted = tolerance * abs(goal.target) / SIGMAS
 
     x, points, proposal = math.log(guess), [], None
     while True:
@@ -180,10 +180,10 @@ def calibrate(
 
 
 def measure_viscosity(
-    fluid, *, key, density: float = 3.0, tolerance: float = 0.02, dt=None, rate=None, box=None, boxes: int = 4,
+    fluid, *, key, density: float = 3.0, tolerance: float = 0.02, dt=None, rate=None, box=None, boxes: int = 2,
     max_particle_steps: float = 2e9, report=None,
 ) -> experiment.Measurement:  # fmt: skip
-    """The viscosity of a fluid in homogeneous shear, to a standard error of half the tolerance.
+    """The viscosity of a fluid in homogeneous shear, to a standard error of a third of the tolerance.
 
     Starts from nothing: equilibrates a batch of boxes, shears them and goes on until the
     error bar is met. Arguments as in :func:`calibrate`.
@@ -197,12 +197,13 @@ def measure_viscosity(
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
     settle = experiment.thermal_time(fluid)
     say = report or (lambda text: None)
-    wanted = 0.5 * tolerance * rough
+    wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
     first = experiment.measure(bench, fluid, wanted, settle, most, say)
     result = first
-    if first.estimate.error > 0.5 * tolerance * abs(first.estimate.value):
-        result = experiment.measure(bench, fluid, 0.5 * tolerance * abs(first.estimate.value), 0.0, most, say)
+    wanted = tolerance * abs(first.estimate.value) / SIGMAS
+    if first.estimate.error > wanted:
+        result = experiment.measure(bench, fluid, wanted, 0.0, most, say)
     return dataclasses.replace(result, particle_steps=bench.steps, seconds=time.monotonic() - began)
 
 
@@ -246,7 +247,7 @@ def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point
 
 
 def _bench(fluid, goal, key, density, box, boxes, dt):
-    side = 8.0 * max(i.reach for i in fluid.interactions) if box is None else box
+    side = 10.0 * max(i.reach for i in fluid.interactions) if box is None else box
     return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt)
 
 

@@ -164,7 +164,7 @@ def _estimate(series, noise, scale) -> Estimate:
     series = scale * np.concatenate(series, axis=1)
     if noise[0] is not None:
         series = controlled(series, np.concatenate(noise, axis=1), MIN_BLOCKS)
-    return block_average(series, 2 * MIN_BLOCKS)
+    return block_average(series, MIN_BLOCKS)
 
 
 def window_time(fluid, density: float) -> float:

@@ -11,6 +11,8 @@ import optax
 from dpdjax.calibration import experiment
 from dpdjax.measure.statistics import Estimate
 
+SIGMAS = 3.0
+"""Standard errors that fit into a tolerance."""
 NEAR = 0.5
 """Points within this distance in ln parameter enter the final linear fit."""
 CURVATURE = 0.3
@@ -74,7 +76,7 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
     optimiser = default_optimiser() if optimiser is None else optimiser
     x = np.array([math.log(float(fluid.value(name))) for name in parameters])
     state, points = optimiser.init(x), []
-    wanted = [0.5 * tolerance * abs(goal.target) for goal in goals]
+    wanted = [tolerance * abs(goal.target) / SIGMAS for goal in goals]
     while len(points) < most_points:
         points.append(_measure(fluid, parameters, benches, x, [1.5 * w for w in wanted], first=not points, say=say))
         say(", ".join(f"{n} {math.exp(v):.4g}" for n, v in zip(parameters, x)) + f": {points[-1].values}")

@@ -85,9 +85,9 @@ def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None):
         axis: 0, 1 or 2, the direction one looks along.
         thickness: of the slice [length]; one interaction range by default.
     """
+    ax = _axes(ax)
     from matplotlib.collections import EllipseCollection
 
-    ax = _axes(ax)
     position = np.asarray(state.position)
     sides = np.asarray(state.box.lengths)
     thickness = 1.0 if thickness is None else thickness

@@ -1,0 +1,164 @@
+"""The command line: quick help, one JSON object, readable text, pictures, errors on standard error."""
+
+import importlib.util
+import json
+import math
+import subprocess
+import sys
+
+import pytest
+from synthetic import FLUID, replace_runs
+
+import dpdjax as dpd
+from dpdjax.calibration import experiment
+from dpdjax.cli import main
+
+PNG = b"\x89PNG\r\n"
+VISCOSITY_KEYS = {
+    "gamma", "gamma_error", "viscosity", "viscosity_error", "dt", "rate", "seconds", "particle_steps",
+}  # fmt: skip
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """Commands measure a fluid known in closed form."""
+    replace_runs(monkeypatch)
+
+
+def said(capsys, *arguments):
+    """Exit status, standard output and standard error of a command."""
+    status = main([str(a) for a in arguments])
+    return status, *capsys.readouterr()
+
+
+@pytest.mark.parametrize("command", [[], ["viscosity"], ["calibrate"]], ids=["", "viscosity", "calibrate"])
+def test_help_imports_no_jax(command):
+    code = f"""
+import sys
+from dpdjax.cli import main
+try:
+    main({[*command, "--help"]})
+except SystemExit as end:
+    assert end.code == 0
+assert not {{"jax", "jax_md", "matplotlib"}} & set(sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("usage: dpdjax")
+    assert ("--tolerance" in done.stdout) == bool(command)
+
+
+def test_module_runs_as_a_command():
+    done = subprocess.run([sys.executable, "-m", "dpdjax.cli", "--help"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "viscosity" in done.stdout and "calibrate" in done.stdout
+
+
+def test_viscosity_as_json(known, capsys):
+    status, out, err = said(capsys, "viscosity", "--gamma", 20, "--json")
+    assert status == 0 and out.count("\n") == 1
+    result = json.loads(out)
+    assert set(result) == VISCOSITY_KEYS
+    assert result["gamma"] == 20 and result["gamma_error"] == 0
+    assert abs(result["viscosity"] - FLUID.value(math.log(20))) < 4 * result["viscosity_error"]
+
+
+def test_calibration_as_json(known, capsys):
+    status, out, err = said(capsys, "calibrate", "--viscosity", 1.5, "--json")
+    assert status == 0 and out.count("\n") == 1
+    result = json.loads(out)
+    assert set(result) == VISCOSITY_KEYS | {"target", "history"}
+    assert result["target"] == 1.5
+    assert abs(result["gamma"] - math.exp(FLUID.root(1.5, 1))) < 4 * result["gamma_error"]
+    assert abs(result["viscosity"] - 1.5) < 4 * result["viscosity_error"]
+    assert len(result["history"]) >= 2
+    assert set(result["history"][0]) == {"gamma", "viscosity", "viscosity_error", "slope", "slope_error"}
+    assert "slope" in err, "progress goes to standard error"
+
+
+def test_numbers_reach_the_calibration(known, capsys, monkeypatch):
+    asked = {}
+
+    def spy(fluid, parameter, **how):
+        asked.update(how, a=float(fluid.value("a")), kT=float(fluid.kT))
+        return dpd.calibration_of_tests(fluid, parameter, **how)
+
+    monkeypatch.setattr(dpd, "calibration_of_tests", dpd.calibrate, raising=False)
+    monkeypatch.setattr(dpd, "calibrate", spy)
+    numbers = {"viscosity": 1.5, "density": 4.0, "tolerance": 0.1, "branch": "lower", "dt": 0.003, "rate": 0.1, "box": 6.0}
+    options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
+    assert said(capsys, "calibrate", *options, "--gamma", 0.5, "--repulsion", 10, "--kT", 2)[0] == 0
+    assert {name: asked[name] for name in numbers} == numbers
+    assert (asked["guess"], asked["a"], asked["kT"]) == (0.5, 10.0, 2.0)
+
+
+def test_same_seed_same_words(known, capsys, monkeypatch):
+    first = said(capsys, "viscosity", "--json")[1]
+    replace_runs(monkeypatch)
+    assert json.loads(first) | {"seconds": 0} == json.loads(said(capsys, "viscosity", "--json")[1]) | {"seconds": 0}
+
+
+def test_readable_answers(known, capsys):
+    lines = said(capsys, "calibrate", "--viscosity", 1.5, "--branch", "lower", "--gamma", 2)[1].splitlines()
+    assert lines[0] == "wanted viscosity 1.5"
+    assert lines[1].startswith("gamma     = 1.") and lines[2].startswith("viscosity = 1.")
+    assert all(float(line.split("+-")[1].split()[0]) > 0 for line in lines[1:3]), "enough digits to show the error"
+    lines = said(capsys, "viscosity", "--gamma", 2)[1].splitlines()
+    assert lines[0] == "gamma     = 2" and "particle-steps" in lines[-1]
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="plots are an extra")
+@pytest.mark.parametrize("command", [["viscosity"], ["calibrate", "--viscosity", 1.5]], ids=["viscosity", "calibrate"])
+def test_plot_writes_a_picture(known, capsys, command, tmp_path):
+    status, out, err = said(capsys, *command, "--json", "--plot", tmp_path / "result.png")
+    assert status == 0 and "gamma" in json.loads(out)
+    assert f"wrote {tmp_path / 'result.png'}" in err
+    assert (tmp_path / "result.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["viscosity", "--gamma", -1], "gamma is -1.0; it must not be negative"),
+        (["viscosity", "--gamma", 0], "no drag"),
+        (["viscosity", "--density", 0], "density is 0.0; it must be above zero"),
+        (["viscosity", "--tolerance", 0], "tolerance is 0.0; it must be above zero"),
+        (["calibrate", "--viscosity", -1], "viscosity is -1.0; it must be above zero"),
+        (["calibrate", "--viscosity", 0.8], "viscosity 0.8 cannot be reached with gamma: the smallest measured is 0.9"),
+        (["viscosity", "--plot", "nowhere/at/all.png"], "there is no folder nowhere/at"),
+    ],
+    ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
+)
+def test_errors_are_one_line_on_standard_error(known, capsys, arguments, message):
+    status, out, err = said(capsys, *arguments, "--json")
+    assert status == 2 and out == ""
+    last = err.splitlines()[-1]
+    assert last.startswith(f"dpdjax {arguments[0]}: ") and message in last
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("arguments", [[], ["viscosity", "--gama", "3"], ["calibrate"], ["calibrate", "--viscosity", "x"]], ids=str)
+def test_misspelt_commands(capsys, arguments):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    out, err = capsys.readouterr()
+    assert end.value.code == 2 and out == "" and err.startswith("usage: dpdjax")
+
+
+def test_interrupt_ends_quietly(known, capsys, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(experiment, "measure", interrupt)
+    assert said(capsys, "viscosity", "--json") == (130, "", "dpdjax viscosity: interrupted\n")
+
+
+def test_calibration_of_real_boxes(capsys, monkeypatch):
+    """The whole way, on boxes of 81 beads: at a = 0 the viscosity 1.26 belongs to gamma 5."""
+    monkeypatch.setattr(experiment, "PIECE", dpd.Plan(20, 20))
+    small = ["--box", 3, "--dt", 0.01, "--tolerance", 0.15, "--repulsion", 0, "--branch", "lower", "--gamma", 4]
+    status, out, err = said(capsys, "calibrate", "--viscosity", 1.26, *small, "--json")
+    assert status == 0, err
+    result = json.loads(out)
+    assert abs(result["gamma"] - 5.0) < 4 * result["gamma_error"] < 6
+    assert abs(result["viscosity"] - 1.26) < 4 * result["viscosity_error"] < 0.4
+    assert result["particle_steps"] > 1e5 and result["dt"] == 0.01
