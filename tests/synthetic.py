@@ -48,8 +48,8 @@ def sample(rng, x, error, bias=1.0) -> Point:
     return Point(x, Estimate(value, error), Estimate(slope + slope_error * rng.normal(), slope_error))
 
 
-def replace_runs(monkeypatch, seed=0):
-    """Let calibrations measure :data:`FLUID`; returns a list that fills with the errors they ask for."""
+def replace_runs(monkeypatch, seed=0, bias=1.0):
+    """Let calibrations measure :data:`FLUID`, slopes off by ``bias``; returns a list that fills with the errors asked for."""
     rng, asked = np.random.default_rng(seed), []
     ln_gamma = lambda fluid: math.log(float(fluid.value("gamma")))
 
@@ -67,7 +67,7 @@ def replace_runs(monkeypatch, seed=0):
         return experiment.Measurement(estimate, series, 0.1 * np.arange(100), 0.01, float(bench.goal.flow.rate), bench.steps)
 
     def measure_slopes(bench, fluid, names, windows):
-        return [sample(rng, ln_gamma(fluid), 1.0).slope for _ in names]
+        return [sample(rng, ln_gamma(fluid), 1.0, bias).slope for _ in names]
 
     for name, function in (("prepare", prepare), ("measure", measure), ("measure_slopes", measure_slopes)):
         monkeypatch.setattr(experiment, name, function)

@@ -54,6 +54,17 @@ def test_error_bars_cover_the_root(water, key, monkeypatch):
     assert 0.5 < np.mean(np.array(deviations) < 1) < 0.85
 
 
+@pytest.mark.parametrize("bias", [0.7, 1.3])
+@pytest.mark.parametrize("branch, guess", [("upper", 3.0), ("upper", 50.0), ("lower", 0.5), ("lower", 20.0)])
+def test_biased_slopes_neither_hide_nor_shift_the_answer(water, key, monkeypatch, bias, branch, guess):
+    """Slopes 30 % off, and a target little above the minimum: nothing is believed that was not measured."""
+    target = FLUID.value(FLUID.lowest) + 0.1
+    for seed in range(10):
+        replace_runs(monkeypatch, seed, bias)
+        fit = calibrate(water, viscosity=target, branch=branch, guess=guess, key=key)
+        assert abs(FLUID.value(math.log(fit.value)) - target) < 4 * 0.01 * target
+
+
 def test_progress_is_reported(water, key, asked):
     told = []
     calibrate(water, viscosity=1.5, key=key, report=told.append)

@@ -1,0 +1,92 @@
+"""Judges the production measurements; run ``python -m pytest -m slow``.
+
+Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md.
+"""
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from dpdjax.measure.statistics import Estimate
+
+HERE = pathlib.Path(__file__).parent
+pytestmark = pytest.mark.slow
+
+
+def measured(room):
+    """The rows of a room, measured now, as (value, reference) by quantity and state."""
+    environment = dict(os.environ, JAX_ENABLE_X64="0")
+    subprocess.run([sys.executable, str(HERE / "measure.py"), room], check=True, env=environment)
+    rows = json.loads((HERE / "results.json").read_text())[room]["rows"]
+    number = lambda v: Estimate(*v) if isinstance(v, list) else v
+    return {(r["quantity"], r["state"]): (number(r["value"]), number(r["reference"])) for r in rows}
+
+
+def within(pair, relative, sigmas=2.0):
+    """Whether value and reference agree within a share of the reference, errors allowed for."""
+    value, reference = pair
+    target = reference.value if isinstance(reference, Estimate) else reference
+    error = (value.error**2 + (reference.error**2 if isinstance(reference, Estimate) else 0.0)) ** 0.5
+    return abs(value.value - target) <= relative * abs(target) + sigmas * error
+
+
+def by_quantity(rows, quantity):
+    return [pair for (name, _), pair in rows.items() if name == quantity]
+
+
+def test_statics_of_water():
+    rows = measured("pressure")
+    (pressure,), (energy,) = by_quantity(rows, "pressure"), by_quantity(rows, "excess energy density")
+    assert within(pressure, 0.005) and within(energy, 0.005)
+    assert all(within(pair, 0.02) for (name, _), pair in rows.items() if name.startswith("g(r)"))
+    assert all(within(pair, 0.005) for (name, _), pair in rows.items() if "temperature" in name)
+
+
+def test_temperature_error_of_the_default_step():
+    (excess,) = by_quantity(measured("temperature"), "temperature error [%], default dt")
+    assert excess[0].value < 0.5 + 2 * excess[0].error
+
+
+def test_viscosities_of_the_ideal_fluid_agree():
+    shear = by_quantity(measured("ideal_shear"), "viscosity, shear")
+    assert within(shear[0], 0.02), "LAMMPS, same step and rate"
+    equilibrium = [pair[0] for pair in measured("ideal_equilibrium").values()]
+    sine = list(measured("ideal_sine").values())[-1][0]
+    for other in (*equilibrium, sine):
+        assert other.deviation(shear[0][0]) < 3
+        assert other.error < 0.015 * other.value
+
+
+def test_viscosity_of_water_is_that_of_lammps():
+    first, *_ = by_quantity(measured("water_shear"), "viscosity, shear")
+    assert within(first, 0.02)
+
+
+def test_slope_of_the_viscosity_is_that_of_independent_runs():
+    (slope, difference), *_ = by_quantity(measured("slope_ideal"), "d eta / d gamma, tangent")
+    assert slope.deviation(difference) < 3 and slope.value + 2 * slope.error < 0
+
+
+def test_slope_of_the_viscosity_of_water():
+    (pair,) = by_quantity(measured("slope_water"), "d eta / d gamma, tangent")
+    assert pair[0].deviation(pair[1]) < 3
+
+
+def test_tangents_grow():
+    rates = [pair[0] for pair in measured("growth").values()]
+    assert all(1.0 < rate.value < 5.0 for rate in rates)
+
+
+def test_identities_of_averages():
+    rows = measured("identities")
+    (first,), (third,) = by_quantity(rows, "dp/da at a = 0, tangent"), by_quantity(rows, "d<p>/d gamma, tangent")
+    assert within(first, 0.02, 3) and abs(third[0].value) < 3 * third[0].error + 0.02
+
+
+def test_main_job_against_lammps():
+    ((referee, target),) = by_quantity(measured("main_job"), "viscosity, LAMMPS, dt 0.0005, rate 0.1")
+    assert abs(referee.value - target) < 0.03 * target + referee.error
