@@ -200,8 +200,9 @@ def check_run(fluid, state, key, dt, flow):
         raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
     if isinstance(flow, flows.Shear) and not all(n.grid.sheared for n in state.neighbours):
         raise ValueError("this state was made with sheared=False and its lists miss pairs of a tilted box: make it without")
-    if is_concrete(state.species) and int(np.max(state.species, initial=0)) >= fluid.species:
-        raise ValueError(f"the state has species {int(np.max(state.species))}, the fluid knows 0 to {fluid.species - 1}")
+    highest = int(np.max(np.asarray(state.species), initial=0)) if is_concrete(state.species) else 0
+    if highest >= fluid.species:
+        raise ValueError(f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}")
     check_dt(fluid, state, dt)
 
 
