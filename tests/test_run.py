@@ -218,5 +218,9 @@ def test_file_that_is_no_state(tmp_path, state):
 
 def test_float64_state_needs_float64(state, tmp_path):
     dpd.save_state(tmp_path / "state.npz", state)
-    with jax.enable_x64(False), pytest.raises(ValueError, match="holds float64; start with JAX_ENABLE_X64=1"):
-        dpd.load_state(tmp_path / "state.npz")
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(ValueError, match="holds float64; start with JAX_ENABLE_X64=1"):
+            dpd.load_state(tmp_path / "state.npz")
+    finally:
+        jax.config.update("jax_enable_x64", True)
