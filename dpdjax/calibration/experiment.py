@@ -171,7 +171,8 @@ def window_time(fluid, density: float) -> float:
     """How long a tangent is followed: four velocity damping times, at most 0.7 thermal times.
 
     Longer windows gain nothing: the tangent has reached its plateau, and its noise grows
-    as ``exp(2.7 t)`` in thermal times (measured: tests/physics/RESULTS.md).
+    as ``exp(2.8 t)`` at a = 0 and ``exp(4 t)`` in water, in thermal times (measured:
+    tests/physics/RESULTS.md).
     """
     return min(0.7 * thermal_time(fluid), 4.0 / max(damping_rate(fluid, density), 1e-12))
 

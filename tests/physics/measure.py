@@ -283,12 +283,12 @@ def identities():
             found += [float(x) for x in slope]
         return from_replicas(found)
 
-    first = slopes(ideal, state, "a", static_pressure, 0.6, 6)
+    first = slopes(ideal, state, "a", static_pressure, 1.5, 8)
     second = slopes(ideal, state, "kT", kinetic, 1.2, 8)
     state, _ = boxes(WATER, 8.0, count, dt, seed=31)
     third = slopes(WATER, state, "gamma", static_pressure, 0.5, 12)
     return [
-        row("dp/da at a = 0, tangent", "rho 3, gamma 4.5, t = 0.6", first, math.pi * 9 / 30, "pi rho^2 / 30, exact"),
+        row("dp/da at a = 0, tangent", "rho 3, gamma 4.5, t = 1.5", first, math.pi * 9 / 30, "pi rho^2 / 30, exact", "the heat of switching on must have gone"),
         row("d<v^2>/dkT, tangent", "a 0, gamma 4.5, t = 1.2", second, 3.0, "3/m, exact once relaxed", "exp(-2 omega t) is left"),
         row("d<p>/d gamma, tangent", "a 25, gamma 4.5, t = 0.5", third, 0.0, "0 as dt -> 0, exact"),
     ]
