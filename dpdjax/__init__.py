@@ -28,6 +28,7 @@ _HOMES = {
     ],
     "dpdjax.calibration.calibrate": ["Calibration", "TargetError", "calibrate", "measure_viscosity"],
     "dpdjax.calibration.joint": ["JointCalibration"],
+    "dpdjax.host.bench": ["bench"],
     "dpdjax.host.run": ["RunError", "run"],
     "dpdjax.host.io": ["load_state", "save_state"],
     "dpdjax.host.plot": ["plot_box", "plot_calibration", "plot_convergence"],

@@ -1,4 +1,4 @@
-"""The command line: ``dpdjax viscosity`` and ``dpdjax calibrate``."""
+"""The command line: ``dpdjax viscosity``, ``dpdjax calibrate`` and ``dpdjax bench``."""
 
 import argparse
 import importlib.util
@@ -24,7 +24,7 @@ def main(argv=None) -> int:
     if arguments.json:
         print(json.dumps(result))
     else:
-        print(_readable(result))
+        print(arguments.readable(result))
     if arguments.plot:
         figure().savefig(arguments.plot, dpi=150, bbox_inches="tight")
         print(f"wrote {arguments.plot}", file=sys.stderr)
@@ -51,27 +51,41 @@ def _parser() -> argparse.ArgumentParser:
     viscosity = commands.add_parser("viscosity", help="the shear viscosity of a DPD fluid, with an error bar")
     _common(viscosity)
     viscosity.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
-    viscosity.set_defaults(work=_viscosity)
+    viscosity.set_defaults(work=_viscosity, readable=_answer)
 
     calibrate = commands.add_parser("calibrate", help="the friction gamma that gives a wanted viscosity")
     _common(calibrate)
     calibrate.add_argument("--viscosity", type=float, required=True, help="the wanted viscosity")
     calibrate.add_argument("--gamma", type=float, default=None, help="first guess (default: from the drag stress)")
     calibrate.add_argument("--branch", choices=("upper", "lower"), default="upper", help="of two gammas (default: upper)")
-    calibrate.set_defaults(work=_calibrate)
+    calibrate.set_defaults(work=_calibrate, readable=_answer)
+
+    bench = commands.add_parser("bench", help="how fast this machine runs a fluid")
+    _fluid(bench)
+    bench.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
+    bench.add_argument("--beads", type=int, default=24_000, help="beads of one box (default: 24000)")
+    bench.add_argument("--batch", type=int, default=1, help="boxes side by side (default: 1)")
+    bench.add_argument("--skin", type=float, default=None, help="margin of the lists (default: the cheapest)")
+    bench.add_argument("--steps", type=int, default=200, help="steps of one timed run, medians of five (default: 200)")
+    bench.add_argument("--tangent", action="store_true", help="time the derivative with respect to gamma too")
+    bench.set_defaults(work=_bench, readable=_speed, plot=None)
     return parser
 
 
-def _common(parser):
+def _fluid(parser):
     parser.add_argument("--density", type=float, default=3.0, help="beads per volume (default: 3)")
     parser.add_argument("--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)")
     parser.add_argument("--kT", type=float, default=1.0, help="thermal energy (default: 1)")
     parser.add_argument("--dt", type=float, default=None, help="time step (default: temperature error below 0.5 %%)")
+    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def _common(parser):
+    _fluid(parser)
     parser.add_argument("--rate", type=float, default=None, help="shear rate (default: bias below half the tolerance)")
     parser.add_argument("--box", type=float, default=10.0, help="side of each of the two boxes (default: 10)")
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
     parser.add_argument("--tolerance", type=float, default=0.02, help="relative; the standard error is a third (default: 0.02)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     parser.add_argument("--plot", metavar="FILE.png", default=None, help="draw the result into a file")
 
 
@@ -161,7 +175,32 @@ def _viscosity(arguments):
     return result, lambda: dpd.plot_convergence(measured)
 
 
-def _readable(result) -> str:
+def _bench(arguments):
+    import jax
+
+    import dpdjax as dpd
+
+    fluid = _water(arguments, arguments.gamma)
+    result = dpd.bench(
+        fluid,
+        jax.random.key(arguments.seed),
+        beads=arguments.beads,
+        dt=dpd.suggest_dt(fluid, arguments.density) if arguments.dt is None else arguments.dt,
+        density=arguments.density,
+        batch=arguments.batch,
+        skin=arguments.skin,
+        steps=arguments.steps,
+        tangent=arguments.tangent,
+    )
+    return result, None
+
+
+def _speed(result) -> str:
+    shown = lambda value: f"{value:.4g}" if isinstance(value, float) else str(value)
+    return "\n".join(f"{name.replace('_', ' '):26s} {shown(value)}" for name, value in result.items())
+
+
+def _answer(result) -> str:
     from dpdjax.measure.statistics import Estimate
 
     lines = []

@@ -214,6 +214,11 @@ def test_file_that_is_no_state(tmp_path, state):
     np.savez(tmp_path / "future.npz", meta='{"format": 99, "grids": []}')
     with pytest.raises(ValueError, match="future.npz has format 99, this version reads 1"):
         dpd.load_state(tmp_path / "future.npz")
+    dpd.save_state(tmp_path / "state.npz", state)
+    with np.load(tmp_path / "state.npz") as file:
+        np.savez(tmp_path / "torn.npz", **{name: file[name] for name in file if name != "velocity"})
+    with pytest.raises(ValueError, match="torn.npz lacks the array 'velocity'; save the state again"):
+        dpd.load_state(tmp_path / "torn.npz")
 
 
 def test_float64_state_needs_float64(state, tmp_path):

@@ -80,6 +80,7 @@ def test_an_estimate_prints(estimate, text):
 def test_deviation_counts_combined_errors():
     assert Estimate(1.0, 0.1).deviation(1.2) == pytest.approx(2.0)
     assert Estimate(1.0, 0.3).deviation(Estimate(2.0, 0.4)) == pytest.approx(2.0)
+    assert Estimate(1.0, 0.0).deviation(1.0) == 0.0 and Estimate(1.0, 0.0).deviation(2.0) == math.inf
 
 
 def test_scaled_estimates_keep_their_relative_error():

@@ -16,7 +16,7 @@ REPLICAS, FRAMES = 4, 4000
 RHO = 3.0
 
 
-def trajectory(frames, flow=None, dt=DT, batch_of_fluids=False):
+def trajectory(frames, flow=None, dt=DT, kT=KT):
     """What replicas of one system would leave behind, from arrays (replicas, frames, ...)."""
     replicas, count = next(iter(frames.values())).shape[:2]
     time = np.broadcast_to(H * np.arange(count), (replicas, count))
@@ -24,7 +24,7 @@ def trajectory(frames, flow=None, dt=DT, batch_of_fluids=False):
     return SimpleNamespace(
         frames=frames | {"time": time},
         is_batch=True,
-        fluid=SimpleNamespace(is_batch=batch_of_fluids, kT=KT),
+        fluid=dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=kT),
         flow=quiet() if flow is None else flow,
         dt=np.asarray(dt),
         every=round(H / DT),
@@ -124,6 +124,17 @@ def test_replicas_are_pooled_after_the_start():
     assert eta.error == pytest.approx(1 / np.sqrt(0.75 * REPLICAS * FRAMES), rel=0.5)
 
 
+def test_numbers_that_a_vmap_repeated_are_pooled():
+    many = lambda x: np.full(REPLICAS, x)
+    flux = {"flux_integral": stress(0, 1.0)}
+    assert dpd.einstein_helfand(trajectory(flux, kT=many(KT), dt=many(DT)), window=1.0) == dpd.einstein_helfand(
+        trajectory(flux), window=1.0
+    )
+    sheared = {"pressure_tensor": stress(1, 1.0)}
+    one, repeated = (dpd.shear_viscosity(trajectory(sheared, dpd.shear(rate))) for rate in (0.2, many(0.2)))
+    assert one == repeated
+
+
 def test_shear_viscosity_of_a_real_run(ideal, key):
     """a = 0, gamma = 5, at a rate that heats by 4 %."""
     state = dpd.initial_state(ideal, key, box=6.0, density=RHO, skin=0.2)
@@ -179,7 +190,7 @@ def test_window_too_long_for_the_run():
 @pytest.mark.parametrize(
     "scan",
     [
-        {"batch_of_fluids": True},
+        {"kT": np.array([1.0, 1.0, 1.0, 2.0])},
         {"dt": np.array([0.01, 0.01, 0.02, 0.02])},
         {"flow": dpd.shear(np.array([0.1, 0.2, 0.3, 0.4]))},
     ],

@@ -1,4 +1,4 @@
-"""A predicate that stays one for a whole batch, so that ``lax.cond`` stays a branch under vmap."""
+"""Branches that stay branches under ``vmap``: work is done for the members that need it."""
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,63 @@ def any_in_batch(predicate):
 @any_in_batch.def_vmap
 def _(axis_size, in_batched, predicate):
     del axis_size
-    batched = in_batched[0]
     # The rule calls the function again, not ``jnp.any`` alone, so that an outer vmap sees it too.
-    return (any_in_batch(jnp.any(predicate, axis=0)) if batched else any_in_batch(predicate)), False
+    return any_in_batch(jnp.any(predicate, axis=0) if in_batched[0] else predicate), False
+
+
+def where_needed(work):
+    """``apply(needed, old, *inputs)``: ``work(old, *inputs)`` where ``needed`` holds, else ``old``.
+
+    Under ``vmap`` a plain ``lax.cond`` would do the work for every member at every call. Here
+    each member's branch stays its own: on a CPU the members that need the work are visited
+    one by one; elsewhere, where many small boxes are cheaper side by side, all do it as soon as
+    one must, and the others drop the result. A member never sees its companions either way.
+
+    ``old`` and ``inputs`` are pytrees of arrays that carry no derivative.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def single(needed, old, inputs):
+        return jax.lax.cond(needed, lambda: work(old, *inputs), lambda: old)
+
+    @single.def_vmap
+    def _(axis_size, in_batched, needed, old, inputs):
+        arguments = _all_batched(axis_size, in_batched, (needed, old, inputs))
+        return several(*arguments), jax.tree.map(lambda _: True, old)
+
+    @jax.custom_batching.custom_vmap
+    def several(needed, old, inputs):
+        return jax.lax.platform_dependent(needed, old, inputs, cpu=one_by_one, default=all_at_once)
+
+    @several.def_vmap
+    def _(axis_size, in_batched, needed, old, inputs):
+        arguments = _all_batched(axis_size, in_batched, (needed, old, inputs))
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), arguments)
+        new = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), several(*flat))
+        return new, jax.tree.map(lambda _: True, old)
+
+    def one_by_one(needed, old, inputs):
+        order = jnp.argsort(~needed)
+        pick = lambda tree, k: jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), tree)
+
+        def visit(turn, members):
+            k = order[turn]
+            new = work(pick(members, k), *pick(inputs, k))
+            return jax.tree.map(lambda x, y: jax.lax.dynamic_update_index_in_dim(x, y, k, 0), members, new)
+
+        return jax.lax.fori_loop(0, jnp.sum(needed), visit, old)
+
+    def all_at_once(needed, old, inputs):
+        def do():
+            new = jax.vmap(work)(old, *inputs)
+            return jax.tree.map(lambda n, o: jnp.where(needed.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
+
+        return jax.lax.cond(jnp.any(needed), do, lambda: old)
+
+    return lambda needed, old, *inputs: single(needed, old, inputs)
+
+
+def _all_batched(axis_size, in_batched, arguments):
+    """The arguments of a batching rule with the batch in front of every one of them."""
+    repeat = lambda x: jnp.broadcast_to(x, (axis_size, *jnp.shape(x)))
+    return jax.tree.map(lambda batched, x: x if batched else repeat(x), tuple(in_batched), arguments)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import box as boxes
-from dpdjax.engine.batching import any_in_batch
+from dpdjax.engine.batching import where_needed
 
 # Rows of the half stencil as (dy, dz); the first is the bead's own row.
 ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]])
@@ -157,21 +157,20 @@ def is_stale(neighbours: Neighbours, box: boxes.Box, position):
 
 
 def update(neighbours: Neighbours, box: boxes.Box, position) -> Neighbours:
-    """The list, rebuilt if it is stale.
+    """The list, rebuilt if it is stale; in a batch, the lists of the members that are."""
+    neighbours, position, box = jax.lax.stop_gradient((neighbours, position, box))
+    return _rebuild_where(neighbours.grid)(is_stale(neighbours, box, position), neighbours, box, position)
 
-    In a batch all members build together as soon as one must, but each that need not
-    keeps its old list, so a member never depends on its companions.
-    """
-    position, box = jax.lax.stop_gradient((position, box))
-    stale = is_stale(neighbours, box, position)
 
-    def rebuild(old):
-        new = allocate(old.grid, box, position)
-        code = old.list.error.code | new.list.error.code
-        new = dataclasses.replace(new, list=_with_error(new.list, code))
-        return jax.tree.map(lambda a, b: jnp.where(stale, a, b), new, old)
+@functools.cache
+def _rebuild_where(grid: Grid):
+    """One object per grid, so that ``custom_vmap`` is set up once."""
 
-    return jax.lax.cond(any_in_batch(stale), rebuild, lambda old: old, neighbours)
+    def rebuild(old, box, position):
+        new = allocate(grid, box, position)
+        return dataclasses.replace(new, list=_with_error(new.list, old.list.error.code | new.list.error.code))
+
+    return where_needed(rebuild)
 
 
 def _with_error(neighbour_list, code):

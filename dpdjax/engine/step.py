@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
+from dpdjax.engine.batching import any_in_batch
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.state import State
 
@@ -25,9 +26,11 @@ def started(fluid, state: State, key, dt, flow) -> State:
     def compute(state):
         updated = update_lists(state)
         force, sums = total_force(fluid, updated, updated.velocity, key, dt, flow, True)
-        return dataclasses.replace(updated, force=force, tally=sums, started=jnp.ones_like(state.started))
+        new = dataclasses.replace(updated, force=force, tally=sums, started=jnp.ones_like(state.started))
+        return jax.tree.map(lambda old, new: jnp.where(state.started, old, new), state, new)
 
-    return jax.lax.cond(state.started, lambda state: state, compute, state)
+    # In a batch all compute as soon as one must: a branch of its own for each would be no branch.
+    return jax.lax.cond(any_in_batch(~state.started), compute, lambda state: state, state)
 
 
 def update_lists(state: State) -> State:

@@ -51,11 +51,17 @@ def load_state(path) -> State:
         raise ValueError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
     if saved["position"].dtype == np.float64 and not jax.config.jax_enable_x64:
         raise ValueError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
-    saved = {name: jnp.asarray(array) for name, array in saved.items()}
+    try:
+        return _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta["grids"])
+    except KeyError as error:
+        raise ValueError(f"{path} lacks the array {error}; save the state again with dpd.save_state") from error
+
+
+def _assembled(saved, grids) -> State:
     return State(
         **{name: saved[name] for name in ARRAYS},
         box=Box(saved["box_lengths"], saved["box_strain"]),
-        neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(meta["grids"])),
+        neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(grids)),
         tally=Tally(*(saved[f"tally_{f.name}"] for f in dataclasses.fields(Tally))),
     )
 

@@ -33,9 +33,10 @@ class Estimate:
         return Estimate(self.value * factor, self.error * abs(factor), self.blocks)
 
     def deviation(self, other) -> float:
-        """Distance from a number or another estimate in combined standard errors."""
+        """Distance from a number or another estimate in combined standard errors; infinite where both are 0."""
         value, error = (other.value, other.error) if isinstance(other, Estimate) else (float(other), 0.0)
-        return abs(self.value - value) / math.hypot(self.error, error)
+        distance, combined = abs(self.value - value), math.hypot(self.error, error)
+        return distance / combined if combined > 0 else math.inf if distance > 0 else 0.0
 
 
 def from_replicas(values) -> Estimate:

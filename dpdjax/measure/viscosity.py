@@ -14,6 +14,7 @@ import functools
 import math
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -180,7 +181,7 @@ def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> 
         raise ValueError("this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)")
     velocity = block_average(_later(trajectory, skip, need="wave_velocity")["wave_velocity"], blocks)
     density = trajectory.final.n / _constants(trajectory)[1]
-    eta = density * float(numbers["amplitude"]) / (velocity.value * float(numbers["wavenumber"]) ** 2)
+    eta = density * _shared(numbers["amplitude"]) / (velocity.value * _shared(numbers["wavenumber"]) ** 2)
     return Estimate(eta, abs(eta) * velocity.error / abs(velocity.value), velocity.blocks)
 
 
@@ -197,19 +198,33 @@ def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
     return Estimate(float(solution[0]), float(np.sqrt(covariance[0, 0])), len(x))
 
 
+_DIFFER = "the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]"
+
+
 def _one_rate(trajectory) -> float:
     _refuse_scan(trajectory)
-    rate = np.unique(np.asarray(trajectory.flow.rate))
-    if rate[0] == 0:
+    rate = _shared(trajectory.flow.rate)
+    if rate == 0:
         raise ValueError("this run had no shear; run it with flow=dpd.shear(rate)")
-    return float(rate[0])
+    return rate
+
+
+def _shared(numbers) -> float:
+    """The value of a number that all members of a batch share; ValueError where they differ."""
+    values = np.unique(np.asarray(numbers, float))
+    if values.size > 1:
+        raise ValueError(_DIFFER)
+    return float(values[0])
 
 
 def _refuse_scan(trajectory):
-    """Raise where the members of a batch differ in a number."""
-    numbers = [trajectory.dt, trajectory.flow.rate]
-    if trajectory.is_batch and (trajectory.fluid.is_batch or any(np.unique(np.asarray(x)).size > 1 for x in numbers)):
-        raise ValueError("the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]")
+    """Raise where the members of a batch differ in a number of the fluid."""
+
+    def check(axis, leaf):
+        if axis is not None and np.ptp(np.asarray(leaf), axis=0).any():
+            raise ValueError(_DIFFER)
+
+    jax.tree.map(check, trajectory.fluid.batch_axes(), trajectory.fluid, is_leaf=lambda axis: axis is None)
 
 
 def _later(trajectory, skip, need=None) -> dict:
@@ -226,7 +241,7 @@ def _constants(trajectory):
     """Time step, volume and kT of replicas of one system."""
     _refuse_scan(trajectory)
     lengths = np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]
-    return float(np.ravel(trajectory.dt)[0]), float(lengths.prod()), float(trajectory.fluid.kT)
+    return _shared(trajectory.dt), float(lengths.prod()), _shared(trajectory.fluid.kT)
 
 
 def _traceless(tensors):

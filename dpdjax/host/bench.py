@@ -1,0 +1,138 @@
+"""How fast this machine runs a fluid: the first thing to ask of a new one."""
+
+import resource
+import statistics
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.engine import neighbours as lists
+from dpdjax.engine.simulate import Plan, simulate
+from dpdjax.engine.state import State, initial_state, suggest_dt
+from dpdjax.host.run import run
+
+SETTLE = 400
+"""Steps from a random start to a fluid whose lists last as long as they will."""
+
+
+def bench(
+    fluid, key, *, beads: int, dt, density=3.0, batch: int = 1, skin=None, steps: int = 200, repeats: int = 5, tangent=False
+) -> dict:
+    """Measure the speed of plain runs of a cubic box, or of ``batch`` of them under ``vmap``.
+
+    Args:
+        fluid: what runs; its ``gamma`` is what a tangent is taken of.
+        key: a PRNG key.
+        beads: beads of one box.
+        dt: time step [time].
+        density: beads per volume.
+        batch: boxes side by side.
+        skin: margin of the lists [length]; by default :func:`dpdjax.suggest_skin`.
+        steps: steps of one timed run.
+        repeats: timed runs; medians are returned.
+        tangent: time the forward derivative with respect to gamma too.
+
+    Returns a dict of ``particle_steps_per_second``, ``rebuild_seconds``, ``steps_per_rebuild``,
+    ``compile_seconds``, ``peak_memory_bytes`` (of the device; of the process on a CPU),
+    ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too.
+    """
+    state, keys = _settled(fluid, key, beads, density, batch, skin, dt)
+    plain = _Program(_plain(dt, steps), fluid, state, keys)
+    seconds = plain.seconds(repeats)
+    result = {
+        "particle_steps_per_second": beads * batch * steps / seconds,
+        "rebuild_seconds": _rebuild_seconds(state, repeats),
+        "steps_per_rebuild": _steps_per_rebuild(fluid, state, keys, dt),
+        "compile_seconds": plain.compile_seconds,
+        "peak_memory_bytes": peak_memory(),
+        "device": jax.devices()[0].device_kind,
+        "beads": beads,
+        "batch": batch,
+        "dt": float(dt),
+        "skin": state.neighbours[0].grid.skin,
+        "list_pairs": int(np.max(np.sum(np.asarray(state.neighbours[0].list.idx[..., 0, :]) < beads, axis=-1))),
+    }
+    if tangent:
+        result["tangent_over_primal"] = _Program(_tangent(dt, steps), fluid, state, keys).seconds(repeats) / seconds
+    return result
+
+
+def peak_memory() -> int:
+    """Most bytes held so far on the device, or by the process where the device does not count."""
+    counted = jax.devices()[0].memory_stats()
+    if counted and "peak_bytes_in_use" in counted:
+        return int(counted["peak_bytes_in_use"])
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+class _Program:
+    """A compiled function of (fluid, state, keys), and how long that took."""
+
+    def __init__(self, function, *arguments):
+        began = time.perf_counter()
+        self.compiled = jax.jit(function).lower(*arguments).compile()
+        self.compile_seconds = time.perf_counter() - began
+        self.arguments = arguments
+
+    def seconds(self, repeats) -> float:
+        """Median duration of a call, one call to warm up left out."""
+        return statistics.median([_duration(self.compiled, *self.arguments) for _ in range(repeats + 1)][1:])
+
+
+def _duration(function, *arguments) -> float:
+    began = time.perf_counter()
+    jax.block_until_ready(function(*arguments))
+    return time.perf_counter() - began
+
+
+def _settled(fluid, key, beads, density, batch, skin, dt) -> tuple[State, jax.Array]:
+    """Boxes whose beads move as they will; one box, unbatched, for a batch of 1."""
+    side = (beads / density) ** (1 / 3)
+    start = lambda k: initial_state(fluid, k, box=side, n=beads, skin=skin, dt=dt, sheared=False)
+    keys = key if batch == 1 else jax.random.split(key, batch)
+    state = start(keys) if batch == 1 else jax.vmap(start)(keys)
+    coarse = max(float(dt), suggest_dt(fluid, density))
+    return run(fluid, state, keys, coarse, Plan(10, SETTLE // 10), progress=False).final.restarted(), keys
+
+
+def _boxes(function, keys):
+    """``function(state, key)`` for one box or for each of a batch."""
+    return function if not keys.ndim else jax.vmap(function)
+
+
+def _plain(dt, steps):
+    def program(fluid, state, keys):
+        return _boxes(lambda s, k: simulate(fluid, s, k, dt, Plan(2, steps // 2)).final, keys)(state, keys)
+
+    return program
+
+
+def _tangent(dt, steps):
+    primal = _plain(dt, steps)
+
+    def program(fluid, state, keys):
+        energy = lambda gamma: primal(fluid.set(gamma=gamma), state, keys).velocity
+        gamma = fluid.value("gamma")
+        return jax.jvp(energy, (gamma,), (jnp.ones_like(gamma),))
+
+    return program
+
+
+def _rebuild_seconds(state, repeats) -> float:
+    build = lambda box, position: lists.allocate(state.neighbours[0].grid, box, position).list.idx
+    build = jax.jit(build if state.position.ndim == 2 else jax.vmap(build))
+    durations = [_duration(build, state.box, state.position) for _ in range(repeats + 1)]
+    return statistics.median(durations[1:])
+
+
+def _steps_per_rebuild(fluid, state, keys, dt, steps: int = 200) -> float:
+    """Steps over the number of them in which a list was built, as its reference positions tell."""
+    anchor = lambda fluid, state: {"anchor": state.neighbours[0].list.reference_position[0]}
+    frames = run(fluid, state, keys, dt, Plan(steps, 1), observe=anchor, progress=False).frames["anchor"]
+    frames = np.reshape(frames, (-1, steps, 3))
+    built = np.any(frames[:, 1:] != frames[:, :-1], axis=-1).sum(axis=-1)
+    return float(steps / max(1.0, built.mean()))
