@@ -76,7 +76,7 @@ def build():
 @pytest.mark.parametrize("lengths, n", BOXES, ids=str)
 def test_list_equals_all_pairs(lengths, n, build):
     planned = lists.plan_grid(n, lengths, 1.0, 0.15)
-    roomy = dataclasses.replace(planned, window=-(-n // 32) * 32, capacity=n * (n - 1) // 2)
+    roomy = dataclasses.replace(planned, window=-(-n // 8) * 8, capacity=n * (n - 1) // 2)
     rng = np.random.default_rng(n)
     for tilt in TILTS:
         strain = tilt * lengths[0] / lengths[1]

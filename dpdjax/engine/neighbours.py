@@ -1,10 +1,10 @@
 """Half lists of neighbours in jax-md's own type, built from sorted cells.
 
-Beads are sorted by cell, x fastest, so the half stencil of a bead is five contiguous
-ranges: the rest of its own row to ``x + 1``, and three cells each of four rows further
-up. A window of slots is tested per range; the verdicts are packed into 32-bit words, and
-each slot of the list finds its word from prefix sums of the popcounts and its bit inside
-the word by binary search. Nothing is scattered, and the shapes are static.
+Beads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
+contiguous ranges: what follows in its own row, and one range of each of four rows further up.
+A window of slots is tested per range; the verdicts are packed into 32-bit words, and each
+slot of the list finds its word from prefix sums of the popcounts and its bit inside the word by
+binary search. Nothing large is scattered, and the shapes are static.
 
 The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format, under its
 ``allocate``/``update`` protocol with the box passed at every update.
@@ -23,7 +23,10 @@ from dpdjax.engine.batching import where_needed
 
 # Rows of the half stencil as (dy, dz); the first is the bead's own row.
 ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]])
-WORD = 32
+BYTE, WORD = 8, 32
+once = jax.lax.optimization_barrier
+FINENESS = 4
+"""Cells along x per cut: finer cells fit the ranges closer to what is within the cut."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +37,8 @@ class Grid:
         reach: largest distance at which the laws act [length].
         skin: added to the reach; a list lasts while beads move less than half of it.
         cells: cells along each side, or None to test all pairs (small boxes).
-        window: slots tested per range of the stencil, a multiple of 32.
+        span: cells along x that cover ``reach + skin``; along y and z one does.
+        window: slots tested in each row of the stencil, a multiple of 8.
         capacity: pairs the list holds.
         sheared: whether the cells are wide enough for a tilted box.
     """
@@ -42,6 +46,7 @@ class Grid:
     reach: float
     skin: float
     cells: tuple[int, int, int] | None
+    span: int
     window: int
     capacity: int
     sheared: bool = True
@@ -51,7 +56,7 @@ class Grid:
         return dataclasses.replace(
             self,
             capacity=_round_up(int(1.5 * self.capacity), 256) if pairs else self.capacity,
-            window=self.window + WORD if windows else self.window,
+            window=_round_up(int(1.5 * self.window), BYTE) if windows else self.window,
         )
 
 
@@ -74,13 +79,15 @@ def plan_grid(n: int, lengths, reach: float, skin: float, sheared: bool = True) 
     capacity = min(_round_up(int(1.1 * pairs + 6 * math.sqrt(pairs)) + 64, 256), max(n * (n - 1) // 2, 1))
     cells = np.floor(boxes.narrowest(lengths, sheared) / cut * (1 + 1e-6)).astype(int)
     if np.any(cells < 3) or n < 200:
-        return Grid(reach, skin, None, 0, capacity, sheared)
-    # More cells than one for every two beads cost more to index than they save.
+        return Grid(reach, skin, None, 0, 0, capacity, sheared)
+    # More rows than the beads fill cost more to index than they save.
     most = max(3, int(np.cbrt(n / 2)) + 1)
     cells = np.minimum(cells, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))).astype(int)
-    per_range = 3 * n / cells.prod()
-    window = _round_up(int(per_range + 4 * math.sqrt(per_range)), WORD)
-    return Grid(reach, skin, tuple(int(c) for c in cells), window, capacity, sheared)
+    cells[0] *= FINENESS
+    span = math.ceil(cells[0] * cut / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
+    per_range = (2 * span + 1) * n / cells.prod()
+    window = _round_up(int(per_range + 4 * math.sqrt(per_range)), BYTE)
+    return Grid(reach, skin, tuple(int(c) for c in cells), span, window, capacity, sheared)
 
 
 def _round_up(value: int, unit: int) -> int:
@@ -205,67 +212,86 @@ def _all_pairs(grid, box, position):
     i, j = np.triu_indices(n, 1)
     d = boxes.displacement(box, position[i], position[j])
     near = jnp.sum(d * d, axis=1) < (grid.reach + grid.skin) ** 2
-    words = jnp.pad(near, (0, -near.size % WORD)).reshape(-1, WORD)
-    word, bit, filled, total = _set_bits(_pack(words), grid.capacity)
+    word, bit, filled, total = _set_bits(_pack(jnp.pad(near, (0, -near.size % WORD))), grid.capacity)
     pair = jnp.minimum(word * WORD + bit, i.size - 1)
     idx = jnp.where(filled, jnp.stack([jnp.asarray(i)[pair], jnp.asarray(j)[pair]]), n)
     return idx.astype(jnp.int32), (total > grid.capacity, jnp.asarray(False))
 
 
 def _cell_pairs(grid, box, position):
-    n = position.shape[0]
-    cells = np.array(grid.cells)
+    n, cells = position.shape[0], np.array(grid.cells)
     cell = jnp.minimum((boxes.fractional(box, position) * cells[None]).astype(jnp.int32), cells[None] - 1)
     flat = (cell[:, 2] * cells[1] + cell[:, 1]) * cells[0] + cell[:, 0]
-    order = jnp.argsort(flat).astype(jnp.int32)
-    flat, cell = flat[order], cell[order]
-    first = jnp.searchsorted(flat, jnp.arange(cells.prod() + 1, dtype=flat.dtype), method="sort").astype(jnp.int32)
-    start, length, row_start, row_end = _ranges(cells, cell, first)
+    order = _order(flat, int(cells.prod()))
+    # Barriers between the stages: XLA would fuse them, and compute each stage again for every use.
+    start, length, row_end, row_size = once(_ranges(grid, cell[order], _first(flat, int(cells.prod()))))
 
-    x, y, z = (position[order, k] for k in range(3))
+    x, y, z = once(tuple(position[order, k] for k in range(3)))
     offset = jnp.arange(grid.window, dtype=jnp.int32)[None, None]
     slot = start[..., None] + offset
-    slot = jnp.where(slot >= row_end[..., None], slot - (row_end - row_start)[..., None], slot)
+    slot = jnp.where(slot >= row_end[..., None], slot - row_size[..., None], slot)
     here = (slice(None), None, None)
     dx, dy, dz = boxes.minimum_image(box, x[slot] - x[here], y[slot] - y[here], z[slot] - z[here])
     near = dx * dx + dy * dy + dz * dz < (grid.reach + grid.skin) ** 2
     near &= offset < length[..., None]
 
-    word, bit, filled, total = _set_bits(_pack(near.reshape(-1, WORD)), grid.capacity)
-    window_words = grid.window // WORD
-    entry, part = word // window_words, word % window_words
-    bead, row = entry // len(ROWS), entry % len(ROWS)
-    partner = start[bead, row] + part * WORD + bit
-    partner = jnp.where(partner >= row_end[bead, row], partner - (row_end - row_start)[bead, row], partner)
-    a, b = order[bead], order[jnp.clip(partner, 0, n - 1)]
+    word, bit, filled, total = once(_set_bits(once(_pack(once(near))), grid.capacity))
+    test = word * WORD + bit
+    entry, turn = jnp.minimum(test // grid.window, n * len(ROWS) - 1), test % grid.window
+    partner = start.ravel()[entry] + turn
+    partner = jnp.where(partner >= row_end.ravel()[entry], partner - row_size.ravel()[entry], partner)
+    a, b = order[entry // len(ROWS)], order[jnp.clip(partner, 0, n - 1)]
     idx = jnp.where(filled, jnp.stack([jnp.minimum(a, b), jnp.maximum(a, b)]), n)
     return idx, (total > grid.capacity, jnp.any(length > grid.window))
 
 
-def _ranges(cells, cell, first):
-    """Start and length of each bead's five ranges of slots, and the rows they wrap in; (n, 5) each.
+def _order(flat, cells: int):
+    """The beads sorted by cell; as one number each where it fits, which sorts four times faster."""
+    n = flat.shape[0]
+    if n * cells >= 2**31:
+        return jnp.argsort(flat).astype(jnp.int32)
+    return jnp.sort(flat * n + jnp.arange(n, dtype=jnp.int32)) % n
 
-    Four ranges span the cells x - 1 to x + 1 of a row above; the fifth, in the bead's own
-    row, runs from the next slot to the end of x + 1. ``first`` is the first slot of each cell.
+
+def _first(flat, cells: int):
+    """The first slot of each cell, and the number of beads at the end."""
+    counts = jnp.zeros(cells, jnp.int32).at[flat].add(1)
+    return jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(counts)])
+
+
+def _ranges(grid, cell, first):
+    """Start and length of each bead's five ranges of slots, and the end and size of their rows; (n, 5) each.
+
+    Four ranges span the cells x - span to x + span of a row above; the first, in the bead's own
+    row, runs from the next slot to the end of x + span. ``first`` is the first slot of each cell.
     """
-    nx, ny, nz = (int(c) for c in cells)
+    nx, ny, nz = grid.cells
     y = (cell[:, 1, None] + ROWS[None, :, 0]) % ny
     z = (cell[:, 2, None] + ROWS[None, :, 1]) % nz
     row = (z * ny + y) * nx
     row_start, row_end = first[row], first[row + nx]
+    size = row_end - row_start
+
+    def edge(x):
+        """First slot of cell x of the row, the row repeated periodically."""
+        turns = x // nx
+        return first[row + x - turns * nx] + turns * size
+
     x = cell[:, 0, None]
-    left, right = row + (x - 1) % nx, row + (x + 1) % nx
-    occupancy = first[1:] - first[:-1]
     after = jnp.arange(1, cell.shape[0] + 1, dtype=jnp.int32)[:, None]
-    own = np.array([True, False, False, False, False])
-    start = jnp.where(own, after, first[left])
-    length = occupancy[right] + jnp.where(own, first[row + x + 1] - after, occupancy[row + x] + occupancy[left])
-    return jnp.where(start >= row_end, row_start, start), length, row_start, row_end
+    start = jnp.where(np.arange(len(ROWS))[None] == 0, after, edge(x - grid.span))
+    length = edge(x + grid.span + 1) - start
+    # A range that begins before its row comes in from the other end.
+    return start + jnp.where(start < row_start, size, 0), length, row_end, size
 
 
 def _pack(bits):
-    """(m, 32) booleans as m words of 32 bits."""
-    return jnp.sum(bits.astype(jnp.uint32) << jnp.arange(WORD, dtype=jnp.uint32)[None], axis=1, dtype=jnp.uint32)
+    """Booleans, the last axis in whole bytes, as words of 32 bits."""
+    bits = bits.reshape(*bits.shape[:-1], -1, BYTE).astype(jnp.uint8)
+    shift = jnp.arange(BYTE, dtype=jnp.uint8).reshape(*[1] * (bits.ndim - 1), BYTE)
+    octets = jnp.sum(bits << shift, axis=-1, dtype=jnp.uint8).ravel()
+    octets = jnp.pad(octets, (0, -octets.size % 4)).reshape(-1, 4).astype(jnp.uint32)
+    return octets[:, 0] | octets[:, 1] << 8 | octets[:, 2] << 16 | octets[:, 3] << 24
 
 
 def _set_bits(words, capacity):
@@ -273,12 +299,11 @@ def _set_bits(words, capacity):
     counts = jax.lax.population_count(words).astype(jnp.int32)
     ends = jnp.cumsum(counts)
     begins = ends - counts
-    # Mark where each non-empty word begins in the output, and carry its index forward.
-    target = jnp.where(counts > 0, begins, capacity)
-    marks = jnp.zeros(capacity, jnp.int32).at[target].max(jnp.arange(words.size, dtype=jnp.int32), mode="drop")
-    word = jax.lax.cummax(marks)
-    rank = jnp.arange(capacity, dtype=jnp.int32) - begins[word]
-    return word, _select_bit(words[word], rank), jnp.arange(capacity) < ends[-1], ends[-1]
+    # A mark where each word begins in the output; as many marks as words have begun so far.
+    marks = jnp.zeros(capacity, jnp.int32).at[begins].add(1, mode="drop")
+    word = jnp.cumsum(marks) - 1
+    slot = jnp.arange(capacity, dtype=jnp.int32)
+    return word, _select_bit(words[word], slot - begins[word]), slot < ends[-1], ends[-1]
 
 
 def _select_bit(word, rank):

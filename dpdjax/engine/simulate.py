@@ -174,7 +174,8 @@ def list_trouble(fluid, state):
         sides = state.box.lengths
         trouble |= bits.flag(jnp.any(sides < 2 * (grid.reach + grid.skin) * (1 - 1e-5)), bits.BOX_TOO_SMALL)
         if grid.cells is not None:
-            least = jnp.asarray(grid.cells, sides.dtype) * (grid.reach + grid.skin) * (1 - 1e-5)
+            across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray((grid.span, 1, 1), sides.dtype)
+            least = across * (grid.reach + grid.skin) * (1 - 1e-5)
             trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
     return trouble
 
