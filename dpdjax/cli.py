@@ -129,6 +129,7 @@ def _calibrate(arguments):
         "target": fit.target,
         "viscosity": fit.measured.value,
         "viscosity_error": fit.measured.error,
+        "temperature": fit.temperature,
         "dt": fit.dt,
         "rate": fit.rate,
         "seconds": round(fit.seconds, 1),
@@ -167,6 +168,7 @@ def _viscosity(arguments):
         "gamma_error": 0.0,
         "viscosity": measured.estimate.value,
         "viscosity_error": measured.estimate.error,
+        "temperature": measured.temperature,
         "dt": measured.dt,
         "rate": measured.rate,
         "seconds": round(measured.seconds, 1),
@@ -211,6 +213,7 @@ def _answer(result) -> str:
         lines.append(f"gamma     = {result['gamma']:g}")
     viscosity = Estimate(result["viscosity"], result["viscosity_error"])
     lines.append(f"viscosity = {viscosity}   (a fresh run at this gamma)")
+    lines.append(f"kinetic temperature {result['temperature']:.4g}")
     lines.append(
         f"dt {result['dt']:.3g}, shear rate {result['rate']:.3g}, "
         f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s"

@@ -12,7 +12,7 @@ from synthetic import FLUID, replace_runs
 import dpdjax as dpd
 from dpdjax.calibration import experiment
 from dpdjax.calibration.calibrate import TargetError, calibrate, drag_guess, measure_viscosity, rough_viscosity
-from dpdjax.calibration.goal import pressure_goal, suggest_rate
+from dpdjax.calibration.goal import pressure_goal, suggest_rate, viscosity_goal_at
 
 UPPER, LOWER = 1, -1
 
@@ -68,7 +68,8 @@ def test_biased_slopes_neither_hide_nor_shift_the_answer(water, key, monkeypatch
 def test_progress_is_reported(water, key, asked):
     told = []
     calibrate(water, viscosity=1.5, key=key, report=told.append)
-    assert told[0].startswith("gamma ") and "viscosity" in told[0] and "slope" in told[0]
+    assert told[0].startswith("gamma ") and told[0].endswith("measuring")
+    assert told[1].startswith("gamma ") and "viscosity" in told[1] and "slope" in told[1]
 
 
 @pytest.mark.parametrize("branch, guess", [("upper", None), ("lower", 1.0)])
@@ -261,3 +262,14 @@ def test_friction_of_a_viscosity(water, key, short_pieces):
     fit = calibrate(water.set(a=0.0), viscosity=1.26, branch="lower", guess=4.0, tolerance=0.15, key=key, **BOX)
     assert fit.estimate.deviation(5.0) < 4 and fit.error < 1.0
     assert fit.measured.deviation(1.26) < 4 and fit.measured.error <= 0.05 * 1.26
+
+
+def test_rate_falls_where_kinetic_stress_heats(water):
+    rates = [viscosity_goal_at(water.set(gamma=gamma), 3.0, 0.9, 0.2).flow.rate for gamma in (0.5, 2.0, 8.0)]
+    assert 0.02 < rates[0] < 0.1 < rates[1] < rates[2]
+
+
+def test_heat_is_refused(water):
+    """A hundred times the rate that calibrate would choose."""
+    with pytest.raises(RuntimeError, match="instead of kT = 1, with shear rate 10 .*give a smaller rate="):
+        measure_viscosity(water, key=jax.random.key(0), rate=10.0, box=4.0, tolerance=0.2)

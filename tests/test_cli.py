@@ -15,7 +15,7 @@ from dpdjax.cli import main
 
 PNG = b"\x89PNG\r\n"
 VISCOSITY_KEYS = {
-    "gamma", "gamma_error", "viscosity", "viscosity_error", "dt", "rate", "seconds", "particle_steps",
+    "gamma", "gamma_error", "viscosity", "viscosity_error", "temperature", "dt", "rate", "seconds", "particle_steps",
 }  # fmt: skip
 
 

@@ -112,3 +112,13 @@ def test_roots_and_minimum_of_a_parabola():
     assert curve.minimum() == pytest.approx(1.0, abs=1e-3)
     assert Curve(1.0, np.array([2.0, 1.0]), np.eye(2), -2.0, 4.0).minimum() is None
     assert curve.at(2.0).error == pytest.approx(math.sqrt(3))
+
+
+def test_search_stays_inside_a_bracket_of_the_minimum():
+    """Noisy values with a steep far point, whose polynomial has no minimum between the slopes' change of sign."""
+    at = lambda gamma, value, slope: Point(math.log(gamma), Estimate(value, 0.06), Estimate(slope, 0.1))
+    points = [at(8.4, 0.95, 0.2), at(4.1, 0.84, 0.1), at(2.1, 0.83, 0.05), at(1.0, 0.5, -0.2), at(3.0, 0.82, 0.1)]
+    for count in (4, 5):
+        proposal = propose(points[:count], 0.3, UPPER)
+        assert math.log(1.0) <= proposal.x <= math.log(2.1)
+        assert proposal.why == "minimum"

@@ -2,11 +2,14 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dpdjax as dpd
+from dpdjax.engine.simulate import check_period
+from dpdjax.engine.state import pair_frequency
 
 
 def repulsion(**coefficients):
@@ -114,6 +117,28 @@ def test_dt_too_large_for_the_drag(water, fresh, key):
         dpd.simulate(water, fresh, key, 0.5, PLAN)
     with refused(ValueError, "dt is -0.01", "above zero"):
         dpd.simulate(water, fresh, key, -0.01, PLAN)
+
+
+def test_dt_too_large_for_the_repulsion(water, fresh, key):
+    with refused(ValueError, "dt 0.1 is too large for the conservative force", "0.707", "use dt = 0.0068"):
+        dpd.simulate(water, fresh, key, 0.1, PLAN)
+    singular = dpd.fluid([dpd.term(lambda h, *, q: q / h, q=1.0, reach=1.0)], [drag()], kT=1.0)
+    assert 1 < pair_frequency(singular) < 30, "only distances that beads reach count"
+
+
+def test_body_force_that_jumps_at_the_faces(water, fresh, key):
+    side = float(fresh.box.lengths[1])
+    with refused(ValueError, "body force is not periodic along y"):
+        dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.sinusoidal_force(0.1, 0.9 * side))
+    check_period(dpd.sinusoidal_force(0.1, side, waves=2), fresh)
+    check_period(dpd.body_force(dpd.constant_field, acceleration=[1.0, 0.0, 0.0]), fresh)
+
+
+def test_batches_given_to_one_state(water, key):
+    with refused(ValueError, "4 keys for one state", "jax.vmap"):
+        dpd.initial_state(water, jax.random.split(key, 4), box=5.0, density=3.0)
+    with refused(ValueError, "kT or mass of the fluid is a batch"):
+        dpd.initial_state(water.set(kT=jnp.array([1.0, 2.0])), key, box=5.0, density=3.0)
 
 
 def test_dt_too_large_for_the_lightest_beads(fresh, key):

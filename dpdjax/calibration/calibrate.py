@@ -10,7 +10,15 @@ import numpy as np
 
 from dpdjax.calibration import experiment
 from dpdjax.calibration.curve import Curve, Point, propose
-from dpdjax.calibration.goal import Goal, custom_goal, damped, pressure_goal, suggest_rate, viscosity_goal
+from dpdjax.calibration.goal import (
+    Goal,
+    custom_goal,
+    damped,
+    pressure_goal,
+    rough_viscosity,
+    viscosity_goal,
+    viscosity_goal_at,
+)
 from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.measure.statistics import Estimate
@@ -45,6 +53,7 @@ class Calibration:
         curve: the fit through them.
         dt, rate: time step and shear rate of the fresh run.
         particle_steps, seconds: what it took.
+        temperature: mean kinetic temperature of the fresh run; NaN where the goal does not record it.
     """
 
     parameter: str
@@ -59,6 +68,7 @@ class Calibration:
     rate: float
     particle_steps: int
     seconds: float
+    temperature: float = math.nan
 
     @property
     def value(self) -> float:
@@ -154,6 +164,9 @@ def calibrate(
     x, points, proposal = math.log(guess), [], None
     while True:
         fluid = fluid.set(**{parameter: math.exp(x)})
+        if rate is None and viscosity is not None:
+            bench.goal = viscosity_goal_at(fluid, density, viscosity, tolerance)
+        say(f"{parameter} {math.exp(x):.4g}: measuring")
         coarse = not points or proposal.why == "search"
         error = 3.0 * wanted if coarse else 0.9 * wanted
         points.append(_measure_point(bench, fluid, parameter, x, error, first=not points, most=max_particle_steps, say=say))
@@ -172,10 +185,11 @@ def calibrate(
     fluid = fluid.set(**{parameter: value})
     bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
     settle = 0.5 * experiment.thermal_time(fluid)
-    fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say).estimate
+    fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
     return Calibration(
-        parameter, goal.name, goal.target, Estimate(value, error, len(points)), fresh, fluid, tuple(points),
-        proposal.curve, bench.step_for(fluid), float(goal.flow.rate), bench.steps, time.monotonic() - began,
+        parameter, goal.name, goal.target, Estimate(value, error, len(points)), fresh.estimate, fluid, tuple(points),
+        proposal.curve, bench.step_for(fluid), float(bench.goal.flow.rate), bench.steps, time.monotonic() - began,
+        fresh.temperature,
     )  # fmt: skip
 
 
@@ -205,16 +219,6 @@ def measure_viscosity(
     if first.estimate.error > wanted:
         result = experiment.measure(bench, fluid, wanted, 0.0, most, say)
     return dataclasses.replace(result, particle_steps=bench.steps, seconds=time.monotonic() - began)
-
-
-def rough_viscosity(fluid, density: float) -> float:
-    """Kinetic theory without correlations, ``rho D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
-    omega = damped(fluid, density)
-    mass, kT = float(np.min(fluid.mass)), float(fluid.kT)
-    reach = max(interaction.reach for interaction in fluid.interactions)
-    # For zeta = gamma w^2: omega = 4 pi gamma rho r_c^3 / 90 m, and the drag stress is in the same ratio to it.
-    drag = omega * mass * density * reach**2 * (2 * math.pi / 1575) / (4 * math.pi / 90)
-    return 0.5 * density * kT / (mass * omega) + drag
 
 
 def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCalibration:
@@ -270,8 +274,9 @@ def _check_goal(viscosity, pressure, target, observe):
 def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
     if viscosity is not None:
         damped(fluid, density)
-        rate = suggest_rate(fluid, density, viscosity, tolerance) if rate is None else float(positive(rate, "rate"))
-        return viscosity_goal(viscosity, rate)
+        if rate is None:
+            return viscosity_goal_at(fluid, density, viscosity, tolerance)
+        return viscosity_goal(viscosity, float(positive(rate, "rate")))
     return pressure_goal(pressure) if pressure is not None else custom_goal(target, observe, flow)
 
 

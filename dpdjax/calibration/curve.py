@@ -128,9 +128,23 @@ def propose(points: list[Point], target: float, sign: int) -> Proposal:
         return Proposal(lowest, "minimum", curve)
     # On the branch the sign of the step follows the residual; off it, cross to the branch.
     uphill = nearest.value.value < target
+    foot = _foot(points, sign)
+    if foot is not None and not uphill:
+        return Proposal(foot, "minimum", fit(points, min(points, key=lambda p: abs(p.x - foot)).x))
     direction = sign if uphill or not on_branch else -sign
     rim = max(p.x for p in points) if direction > 0 else min(p.x for p in points)
     return Proposal(rim + 0.7 * direction, "search", curve)
+
+
+def _foot(points, sign):
+    """Where the slope changes sign below the branch, from the two points around it; None where it was not seen."""
+    branch = [p for p in points if np.sign(p.slope.value) == sign]
+    beyond = [p for p in points if np.sign(p.slope.value) == -sign and all(sign * (q.x - p.x) > 0 for q in branch)]
+    if not branch or not beyond:
+        return None
+    a, b = min(branch, key=lambda p: sign * p.x), max(beyond, key=lambda p: sign * p.x)
+    share = abs(a.slope.value) / (abs(a.slope.value) + abs(b.slope.value))
+    return float(a.x + share * (b.x - a.x))
 
 
 def _inside_bracket(points, target, sign, x):

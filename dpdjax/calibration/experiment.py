@@ -94,6 +94,7 @@ class Measurement:
         series: its values over time in each box, (boxes, frames).
         time: time of each frame since the start of the measurement.
         dt, rate: time step and shear rate.
+        temperature: mean kinetic temperature, where the goal records it.
         particle_steps, seconds: what it took.
     """
 
@@ -104,6 +105,7 @@ class Measurement:
     rate: float
     particle_steps: int
     seconds: float = math.nan
+    temperature: float = math.nan
 
 
 def measure(bench: Bench, fluid, error: float, settle: float, most: int, report) -> Measurement:
@@ -122,10 +124,12 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     piece_time = dt * PIECE.steps
     for _ in range(math.ceil(settle / piece_time)):
         _extend(bench, fluid, dt)
-    series, noise, spent = [], [], 0
+    series, noise, heat, spent = [], [], [], 0
     while True:
         frames = _extend(bench, fluid, dt)
         spent += PIECE.steps * bench.beads
+        heat.append(np.mean(frames.get("temperature", math.nan)))
+        _refuse_heat(bench, fluid, dt, heat[-1])
         series.append(frames["value"])
         noise.append(frames.get("noise"))
         estimate = _estimate(series, noise, bench.goal.scale)
@@ -136,7 +140,24 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     count = len(series) * PIECE.frames
     times = dt * PIECE.every * np.arange(1, count + 1)
     values = bench.goal.scale * np.concatenate(series, axis=1)
-    return Measurement(estimate, values, times, dt, float(bench.goal.flow.rate), bench.steps)
+    rate, temperature = float(bench.goal.flow.rate), float(np.mean(heat))
+    return Measurement(estimate, values, times, dt, rate, bench.steps, temperature=temperature)
+
+
+HOT = 0.25
+"""Excess of the kinetic temperature over kT that a measurement refuses."""
+
+
+def _refuse_heat(bench, fluid, dt, temperature):
+    """Raise where the flow, or too long a step, keeps the beads far from kT."""
+    if math.isnan(temperature):
+        return
+    kT = float(fluid.kT)
+    if temperature > (1 + HOT) * kT:
+        raise RuntimeError(
+            f"the fluid runs at a temperature of {temperature:.3g} instead of kT = {kT:.3g}, with shear rate "
+            f"{float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= or dt="
+        )
 
 
 def _check_dt(fluid, state, dt):

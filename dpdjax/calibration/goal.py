@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from dpdjax.engine import flow as flows
-from dpdjax.engine.observables import pressure_by_origin, pressure_tensor
+from dpdjax.engine.observables import pressure_by_origin, pressure_tensor, temperature
 from dpdjax.engine.state import damping_rate
 
 
@@ -20,8 +21,9 @@ class Goal:
     Attributes:
         name: what it is, for messages.
         target: its wanted value.
-        observe: ``observe(fluid, state) -> dict`` with ``value``, and with ``noise`` where a
-            quantity of mean zero goes along with it (a control variate).
+        observe: ``observe(fluid, state) -> dict`` with ``value``; with ``noise`` where a
+            quantity of mean zero goes along with it (a control variate); with ``temperature``
+            where the flow may heat.
         flow: the flow of the runs.
         scale: the wanted number is ``scale`` times the recorded ``value``.
     """
@@ -42,7 +44,14 @@ def _shear_stress(fluid, state):
     return {
         "value": pressure_tensor(fluid, state)[0, 1],
         "noise": state.tally.random[0, 1] / state.box.volume,
+        "temperature": temperature(fluid, state),
     }
+
+
+def viscosity_goal_at(fluid, density: float, target: float, tolerance: float) -> Goal:
+    """:func:`viscosity_goal` at the rate that suits this fluid, thin as it may be in drag and thick in kinetics."""
+    viscosity = max(target, rough_viscosity(fluid, density))
+    return viscosity_goal(target, suggest_rate(fluid, density, viscosity, tolerance))
 
 
 def pressure_goal(target: float) -> Goal:
@@ -71,6 +80,16 @@ def damped(fluid, density: float) -> float:
     if omega <= 0:
         raise ValueError("this fluid has no drag, so no steady viscosity; give it a gamma above zero")
     return omega
+
+
+def rough_viscosity(fluid, density: float) -> float:
+    """Kinetic theory without correlations, ``rho D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
+    omega = damped(fluid, density)
+    mass, kT = float(np.min(fluid.mass)), float(fluid.kT)
+    reach = max(interaction.reach for interaction in fluid.interactions)
+    # For zeta = gamma w^2: omega = 4 pi gamma rho r_c^3 / 90 m, and the drag stress is in the same ratio to it.
+    drag = omega * mass * density * reach**2 * (2 * math.pi / 1575) / (4 * math.pi / 90)
+    return 0.5 * density * kT / (mass * omega) + drag
 
 
 HEATING = 2.5

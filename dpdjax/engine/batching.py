@@ -39,7 +39,8 @@ def where_needed(work):
 
     @jax.custom_batching.custom_vmap
     def several(needed, old, inputs):
-        return jax.lax.platform_dependent(needed, old, inputs, cpu=one_by_one, default=all_at_once)
+        ways = {"cpu": one_by_one(work), "default": all_at_once(work)}
+        return jax.lax.platform_dependent(needed, old, inputs, **ways)
 
     @several.def_vmap
     def _(axis_size, in_batched, needed, old, inputs):
@@ -48,7 +49,13 @@ def where_needed(work):
         new = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), several(*flat))
         return new, jax.tree.map(lambda _: True, old)
 
-    def one_by_one(needed, old, inputs):
+    return lambda needed, old, *inputs: single(needed, old, inputs)
+
+
+def one_by_one(work):
+    """The work for each member of a batch that needs it, in turn: ``f(needed, old, inputs)``."""
+
+    def apply(needed, old, inputs):
         order = jnp.argsort(~needed)
         pick = lambda tree, k: jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), tree)
 
@@ -59,14 +66,20 @@ def where_needed(work):
 
         return jax.lax.fori_loop(0, jnp.sum(needed), visit, old)
 
-    def all_at_once(needed, old, inputs):
+    return apply
+
+
+def all_at_once(work):
+    """The work for a whole batch if any member needs it, kept where it does: ``f(needed, old, inputs)``."""
+
+    def apply(needed, old, inputs):
         def do():
             new = jax.vmap(work)(old, *inputs)
             return jax.tree.map(lambda n, o: jnp.where(needed.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
 
         return jax.lax.cond(jnp.any(needed), do, lambda: old)
 
-    return lambda needed, old, *inputs: single(needed, old, inputs)
+    return apply
 
 
 def _all_batched(axis_size, in_batched, arguments):

@@ -11,7 +11,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.record import Recorder, recorders
-from dpdjax.engine.state import State, damping_rate, suggest_dt
+from dpdjax.engine.state import State, damping_rate, pair_frequency, suggest_dt
 from dpdjax.engine.step import started, step
 from dpdjax.model.fluid import Fluid
 
@@ -205,6 +205,23 @@ def check_run(fluid, state, key, dt, flow):
     if highest >= fluid.species:
         raise ValueError(f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}")
     check_dt(fluid, state, dt)
+    check_period(flow, state)
+
+
+def check_period(flow, state):
+    """Refuse a body force that jumps at the faces of the box: a wrong side given to a wave."""
+    if not isinstance(flow, flows.BodyForce) or not is_concrete(flow, state.position, state.box, state.time):
+        return
+    sides = np.asarray(state.box.lengths)
+    here = np.random.default_rng(0).uniform(size=(16, 3)) * sides
+    field = lambda position: np.asarray(flow.field(jnp.asarray(position, state.position.dtype), state.time, **flow.numbers))
+    inside = field(here)
+    for axis, side in zip("xyz", np.diag(sides)):
+        if not np.allclose(field(here + side), inside, rtol=0, atol=1e-3 * np.max(np.abs(inside))):
+            raise ValueError(
+                f"the body force is not periodic along {axis} in a box of sides {sides.tolist()}: it would jump "
+                "at the face; give it a whole number of waves in that side"
+            )
 
 
 def check_plan(plan):
@@ -214,7 +231,7 @@ def check_plan(plan):
 
 
 def check_dt(fluid, state, dt):
-    """Refuse a time step at which the drag of a bead would overshoot (dt omega above 1)."""
+    """Refuse a time step at which the drag or the repulsion of a bead would overshoot."""
     if not is_concrete(fluid, dt, state.box.lengths):
         return
     # numpy all the way: under jit even constants would be staged.
@@ -223,9 +240,12 @@ def check_dt(fluid, state, dt):
     fluid = dataclasses.replace(fluid, mass=lightest[None])
     largest = float(np.max(np.asarray(dt)))
     density = state.n / float(np.prod(np.asarray(state.box.lengths)))
-    worst = largest * damping_rate(fluid, density)
-    if worst > 0.5:
-        raise ValueError(
-            f"dt {largest:.4g} is too large for the drag: dt x damping rate is {worst:.3g}, at most 0.5 is stable; "
-            f"use dt = {suggest_dt(fluid, density):.2g} (temperature error 0.5 %)"
-        )
+    for force, what, rate in (
+        ("drag", "damping rate", damping_rate(fluid, density)),
+        ("conservative force", "frequency of a pair", pair_frequency(fluid)),
+    ):
+        if largest * rate > 0.5:
+            raise ValueError(
+                f"dt {largest:.4g} is too large for the {force}: dt x {what} is {largest * rate:.3g}, at most 0.5 "
+                f"is stable; use dt = {suggest_dt(fluid, density):.2g} (temperature error 0.5 %)"
+            )

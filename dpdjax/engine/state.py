@@ -16,8 +16,8 @@ from dpdjax.model.fluid import Fluid
 POSITION_DOMAIN, VELOCITY_DOMAIN = 2, 3
 """Folded into the user's key, so that one key serves start and noise."""
 
-REBUILD_COST = 9.0
-"""One rebuild in units of one force pass (measured: tests/benchmarks)."""
+REBUILD_COST = 2.0
+"""One rebuild in units of one force pass over the same list (measured: tests/benchmarks)."""
 
 
 @jax.tree_util.register_dataclass
@@ -129,6 +129,13 @@ def initial_state(
         TypeError: no key.
     """
     key = prng_key(key)
+    if key.ndim:
+        raise ValueError(f"{key.size} keys for one state; use jax.vmap(lambda key: dpd.initial_state(fluid, key, ...))(keys)")
+    if is_concrete(fluid) and (jnp.ndim(fluid.kT) or jnp.ndim(fluid.mass) > 1):
+        raise ValueError(
+            "kT or mass of the fluid is a batch, and one state has one temperature: build the state with "
+            "one fluid, and give the batch to the run"
+        )
     box = boxes.box(box)
     if not is_concrete(box):
         raise ValueError("the box of initial_state must be known when tracing: build the state outside jit")
@@ -214,6 +221,21 @@ def repulsion_energy(fluid: Fluid, density: float) -> float:
     return max(0.0, density * sum(_volume_integral(t) for i in fluid.interactions for t in i.conservative))
 
 
+def pair_frequency(fluid: Fluid) -> float:
+    """Fastest oscillation of two beads, ``sqrt(2 U'' / m)``, at distances they reach with 4 kT [1/time]."""
+    stiffest = 0.0
+    for term in (t for i in fluid.interactions for t in i.conservative):
+        coefficients, reach = term.between(np.max)
+        r = (np.arange(400) + 0.5) / 400 * float(reach)
+        law = lambda h: term.law(h, **coefficients)
+        with jax.ensure_compile_time_eval():
+            energy = np.asarray(law(jnp.asarray(r)))
+            curvature = np.asarray(jax.vmap(jax.grad(jax.grad(law)))(jnp.asarray(r)))
+        reached = energy - energy.min() <= 4.0 * float(fluid.kT)
+        stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
+    return math.sqrt(2.0 * stiffest / float(np.min(fluid.mass)))
+
+
 def _volume_integral(term) -> float:
     """Integral of a law over a sphere of its reach, by the midpoint rule."""
     coefficients, reach = term.between(np.max)
@@ -228,7 +250,7 @@ def suggest_skin(fluid: Fluid, dt) -> float:
     numbers = jax.tree.map(_concrete, fluid)
     reach = min(interaction.reach for interaction in numbers.interactions)
     fastest = 4.5 * math.sqrt(float(numbers.kT) / float(np.min(numbers.mass)))
-    skins = np.linspace(0.04, 0.6, 57) * reach
+    skins = np.linspace(0.02, 0.6, 59) * reach
     cost = (1 + skins / reach) ** 3 * (1 + REBUILD_COST * 2 * fastest * _number(dt) / skins)
     return float(np.round(skins[np.argmin(cost)], 3))
 

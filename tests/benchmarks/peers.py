@@ -316,7 +316,7 @@ def main():
     text = "\n\n".join("\n".join(s) for s in sections)
     print(text)
     if arguments.only is None:
-        where = f"{datetime.date.today()}, jax {jax.__version__}, Python {platform.python_version()}, {jax.devices()[0].device_kind}"
+        where = f"{datetime.date.today()}, jax {jax.__version__}, Python {platform.python_version()}"
         head = f"# dpdjax beside its peers\n\nWritten by `python tests/benchmarks/peers.py`; {where}, {BEADS} beads.\n\n"
         (HERE / "PEERS.md").write_text(head + text + "\n")
 

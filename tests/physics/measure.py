@@ -112,7 +112,7 @@ def temperature():
     for name, matter, steps in (("a 0", fluid(0.0, 4.5), (0.05, 0.02, 0.01, 0.005)), ("a 25", WATER, (0.02, 0.01, 0.005))):
         for dt in steps:
             state, keys = boxes(matter, 10.0, 2, dt, seed=2)
-            run = go(matter, state, keys, dt, 60.0, max(1, round(0.1 / dt)))
+            run = go(matter, state, keys, dt, 40.0, max(1, round(0.1 / dt)))
             excess = block_average(100 * (run.frames["temperature"] - 1.0))
             reference = {0.02: "about 1.4", 0.05: "about 4.5"}.get(dt, "") if name == "a 0" else ""
             note = f"{excess.value / 100 / (4.5 * dt):.2f} gamma dt"
@@ -130,7 +130,7 @@ def temperature():
 def ideal_shear():
     """(a 0, gamma 5): homogeneous shear, and its limits of small rate and step."""
     where = "a 0, gamma 5, kT 1"
-    main, _ = sheared(IDEAL, 0.01, 0.2, 1.3e6, seed=4)
+    main, _ = sheared(IDEAL, 0.01, 0.2, 3e6, seed=4)
     fast, _ = sheared(IDEAL, 0.01, 0.4, 6e5, seed=5)
     fine, _ = sheared(IDEAL, 0.005, 0.4, 5e5, seed=6)
     limit = plane([(0.04, 0.01, main), (0.16, 0.01, fast), (0.16, 0.005, fine)])
@@ -190,7 +190,7 @@ def ideal_sine():
 def water_shear():
     """(a 25, gamma 4.5) against LAMMPS at the same step and rate."""
     where = "a 25, gamma 4.5, kT 1, dt 0.01, rate 0.2"
-    eta, run = sheared(WATER, 0.01, 0.2, 4e6, seed=10)
+    eta, run = sheared(WATER, 0.01, 0.2, 3e6, seed=10)
     referee = lammps(repulsion=25, gamma=4.5, dt=0.01, rate=0.2)
     heat = block_average(run.frames["temperature"])
     return [

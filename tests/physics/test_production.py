@@ -83,7 +83,8 @@ def test_tangents_grow():
 
 def test_identities_of_averages():
     rows = measured("identities")
-    pairs, kinetic, friction = (by_quantity(rows, f"{name}, tangent")[0] for name in ("dp/da at a = 0", "d<v^2>/dkT", "d<p>/d gamma"))
+    names = ("dp/da at a = 0", "d<v^2>/dkT", "d<p>/d gamma")
+    pairs, kinetic, friction = (by_quantity(rows, f"{name}, tangent")[0] for name in names)
     assert within(pairs, 0.01) and within(kinetic, 0.01)
     assert abs(friction[0].value) < 3 * friction[0].error
 

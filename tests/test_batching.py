@@ -1,0 +1,56 @@
+"""Batching: each member is worked on where it needs to be, and sees nothing of the others."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from dpdjax.engine.batching import all_at_once, one_by_one, where_needed
+
+NEEDED = jnp.array([[True, False, True], [False, False, True]])
+OLD = {"x": jnp.arange(6.0).reshape(2, 3), "k": jnp.arange(24).reshape(2, 3, 4)}
+STEP = jnp.array([10.0, 20.0, 30.0])
+
+
+def work(old, step):
+    return {"x": old["x"] + step, "k": -old["k"]}
+
+
+EXPECTED = {
+    "x": np.where(NEEDED, OLD["x"] + STEP[None], OLD["x"]),
+    "k": np.where(NEEDED[..., None], -OLD["k"], OLD["k"]),
+}
+
+
+def test_members_are_worked_on_where_needed():
+    twice = jax.vmap(jax.vmap(where_needed(work)), in_axes=(0, 0, None))
+    for apply in (twice, jax.jit(twice)):
+        jax.tree.map(np.testing.assert_array_equal, apply(NEEDED, OLD, STEP), EXPECTED)
+
+
+def test_one_flag_serves_a_whole_batch():
+    apply = jax.vmap(where_needed(work), in_axes=(None, 0, 0))
+    first = jax.tree.map(lambda x: x[0], OLD)
+    jax.tree.map(np.testing.assert_array_equal, apply(jnp.asarray(False), first, STEP), first)
+    np.testing.assert_array_equal(apply(jnp.asarray(True), first, STEP)["x"], first["x"] + STEP)
+
+
+@pytest.mark.parametrize("way", [one_by_one, all_at_once])
+@pytest.mark.parametrize("row", [0, 1])
+def test_both_ways_are_one(way, row):
+    """The first way is what a CPU does, the second what accelerators do."""
+    old, expected = (jax.tree.map(lambda x: x[row], tree) for tree in (OLD, EXPECTED))
+    jax.tree.map(np.testing.assert_array_equal, jax.jit(way(work))(NEEDED[row], old, (STEP,)), expected)
+
+
+def test_work_is_done_only_where_needed():
+    seen = []
+
+    def noted(old, step):
+        jax.debug.callback(lambda s: seen.append(float(s)), step)
+        return work(old, step)
+
+    old = jax.tree.map(lambda x: x[0], OLD)
+    jax.block_until_ready(jax.jit(jax.vmap(where_needed(noted)))(NEEDED[0], old, STEP))
+    jax.effects_barrier()
+    assert sorted(seen) == [10.0, 30.0]
