@@ -31,7 +31,7 @@ def said(capsys, *arguments):
     return status, *capsys.readouterr()
 
 
-@pytest.mark.parametrize("command", [[], ["viscosity"], ["calibrate"]], ids=["", "viscosity", "calibrate"])
+@pytest.mark.parametrize("command", [[], ["viscosity"], ["calibrate"], ["bench"]], ids=["", "viscosity", "calibrate", "bench"])
 def test_help_imports_no_jax(command):
     code = f"""
 import sys
@@ -162,3 +162,15 @@ def test_calibration_of_real_boxes(capsys, monkeypatch):
     assert abs(result["gamma"] - 5.0) < 4 * result["gamma_error"] < 6
     assert abs(result["viscosity"] - 1.26) < 4 * result["viscosity_error"] < 0.4
     assert result["particle_steps"] > 1e5 and result["dt"] == 0.01
+
+
+def test_bench_as_json(capsys):
+    small = ("--beads", 200, "--steps", 4, "--batch", 2, "--tangent")
+    status, out, err = said(capsys, "bench", *small, "--json")
+    assert (status, err, out.count("\n")) == (0, "", 1)
+    result = json.loads(out)
+    wanted = {"particle_steps_per_second", "rebuild_seconds", "steps_per_rebuild", "compile_seconds", "peak_memory_bytes"}
+    assert wanted | {"device", "tangent_over_primal", "beads", "batch", "dt", "skin", "list_pairs"} == set(result)
+    assert all(result[name] > 0 for name in wanted)
+    assert result["beads"] == 200 and result["batch"] == 2
+    assert 1 <= result["steps_per_rebuild"] <= 200
