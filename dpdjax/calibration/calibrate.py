@@ -158,6 +158,7 @@ def calibrate(
     guess = _first_guess(fluid, parameter, guess, viscosity, density)
     fluid = fluid.set(**{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
+    say(f"equilibrating {boxes} boxes")
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
     wanted = tolerance * abs(goal.target) / SIGMAS
 
@@ -208,9 +209,10 @@ def measure_viscosity(
     density = float(positive(density, "density"))
     rough = rough_viscosity(fluid, density)
     goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
+    say = report or (lambda text: None)
+    say(f"equilibrating {boxes} boxes")
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
     settle = experiment.thermal_time(fluid)
-    say = report or (lambda text: None)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
     first = experiment.measure(bench, fluid, wanted, settle, most, say)

@@ -219,15 +219,15 @@ def tangents(matter, name, dt, rate, duration, windows, side=10.0, count=4, seed
 
 def slope_ideal():
     """d eta / d gamma at (a 0, gamma 5): tangent against independent runs."""
-    times, slopes, _ = tangents(IDEAL, "gamma", 0.01, 0.3, 0.9, 12)
-    at = int(np.argmin(np.abs(times - 0.7)))
+    times, slopes, _ = tangents(IDEAL, "gamma", 0.01, 0.3, 0.9, 48)
+    at = int(np.argmin(np.abs(times - 0.8)))
     low, _ = sheared(fluid(0.0, 4.0), 0.01, 0.4, 9e5, seed=21)
     high, _ = sheared(fluid(0.0, 6.0), 0.01, 0.4, 9e5, seed=22)
     difference = Estimate((high.value - low.value) / 2, math.hypot(high.error, low.error) / 2)
     where = "a 0, gamma 5, kT 1, dt 0.01"
     course = ", ".join(f"{e} at {t:.2f}" for t, e in list(zip(times, slopes))[3::4])
     return [
-        row("d eta / d gamma, tangent", f"{where}, t = 0.7, rate 0.3", slopes[at], difference, "runs at gamma 4 and 6", course),
+        row("d eta / d gamma, tangent", f"{where}, t = 0.8, rate 0.3", slopes[at], difference, "runs at gamma 4 and 6", course),
         row("viscosity, shear", "a 0, gamma 4, dt 0.01, rate 0.4", low),
         row("viscosity, shear", "a 0, gamma 6, dt 0.01, rate 0.4", high),
     ]
