@@ -218,7 +218,9 @@ def _shared(numbers) -> float:
 
 
 def _refuse_scan(trajectory):
-    """Raise where the members of a batch differ in a number of the fluid."""
+    """Raise where the members of a batch differ in a number of the fluid, the time step or the rate."""
+    for numbers in (trajectory.dt, trajectory.flow.rate):
+        _shared(numbers)
 
     def check(axis, leaf):
         if axis is not None and np.ptp(np.asarray(leaf), axis=0).any():
