@@ -165,8 +165,7 @@ def calibrate(
     x, points, proposal = math.log(guess), [], None
     while True:
         fluid = fluid.set(**{parameter: math.exp(x)})
-        if rate is None and viscosity is not None:
-            bench.goal = viscosity_goal_at(fluid, density, viscosity, tolerance)
+        bench.goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
         say(f"{parameter} {math.exp(x):.4g}: measuring")
         coarse = not points or proposal.why == "search"
         error = 3.0 * wanted if coarse else 0.9 * wanted

@@ -225,12 +225,11 @@ def pair_frequency(fluid: Fluid) -> float:
     """Fastest oscillation of two beads, ``sqrt(2 U'' / m)``, at distances they reach with 4 kT [1/time]."""
     stiffest = 0.0
     for term in (t for i in fluid.interactions for t in i.conservative):
-        coefficients, reach = term.between(np.max)
-        r = (np.arange(400) + 0.5) / 400 * float(reach)
-        law = lambda h: term.law(h, **coefficients)
+        r, _, law = _profile(term)
         with jax.ensure_compile_time_eval():
-            energy = np.asarray(law(jnp.asarray(r)))
-            curvature = np.asarray(jax.vmap(jax.grad(jax.grad(law)))(jnp.asarray(r)))
+            h, one = jnp.asarray(r), jnp.ones(r.shape)
+            slope = lambda h: jax.jvp(law, (h,), (one,))[1]
+            energy, curvature = np.asarray(law(h)), np.asarray(jax.jvp(slope, (h,), (one,))[1])
         reached = energy - energy.min() <= 4.0 * float(fluid.kT)
         stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
     return math.sqrt(2.0 * stiffest / float(np.min(fluid.mass)))
@@ -238,11 +237,17 @@ def pair_frequency(fluid: Fluid) -> float:
 
 def _volume_integral(term) -> float:
     """Integral of a law over a sphere of its reach, by the midpoint rule."""
-    coefficients, reach = term.between(np.max)
-    r = (np.arange(400) + 0.5) / 400 * float(reach)
+    r, reach, law = _profile(term)
     with jax.ensure_compile_time_eval():
-        values = np.asarray(term.law(jnp.asarray(r), **coefficients))
-    return float(np.sum(4 * np.pi * r**2 * values)) * float(reach) / 400
+        values = np.asarray(law(jnp.asarray(r)))
+    return float(np.sum(4 * np.pi * r**2 * values)) * reach / r.size
+
+
+def _profile(term):
+    """Midpoints of 400 equal steps up to the reach of a term, the reach, and the law with its numbers put in."""
+    coefficients, reach = term.between(np.max)
+    reach = float(reach)
+    return (np.arange(400) + 0.5) / 400 * reach, reach, lambda h: term.law(h, **coefficients)
 
 
 def suggest_skin(fluid: Fluid, dt) -> float:

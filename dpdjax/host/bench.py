@@ -115,9 +115,9 @@ def _tangent(dt, steps):
     primal = _plain(dt, steps)
 
     def program(fluid, state, keys):
-        energy = lambda gamma: primal(fluid.set(gamma=gamma), state, keys).velocity
+        velocity = lambda gamma: primal(fluid.set(gamma=gamma), state, keys).velocity
         gamma = fluid.value("gamma")
-        return jax.jvp(energy, (gamma,), (jnp.ones_like(gamma),))
+        return jax.jvp(velocity, (gamma,), (jnp.ones_like(gamma),))
 
     return program
 
