@@ -1,5 +1,6 @@
 """The force pass: every pair of a list once, every law once, both beads at the end."""
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -35,16 +36,27 @@ def pair_geometry(box, position, velocity, species, idx, rate) -> Pairs:
     n = position.shape[0]
     real = idx[0] < n
     i, j = jnp.minimum(idx[0], n - 1), jnp.minimum(idx[1], n - 1)
-    dx, dy, dz = boxes.minimum_image(box, *(position[i, k] - position[j, k] for k in range(3)))
+    # Whole columns first: XLA would fold what makes them into every single read.
+    x, v = jax.lax.optimization_barrier((_columns(position), _columns(velocity)))
+    dx, dy, dz = boxes.minimum_image(box, *(take(c, i) - take(c, j) for c in x))
     square = dx * dx + dy * dy + dz * dz
     real &= square > 0
     # Padded slots are pairs of a bead with itself: keep zero out of the root and its derivative.
     inverse = jax.lax.rsqrt(jnp.where(real, square, 1.0))
     e = (dx * inverse, dy * inverse, dz * inverse)
-    v = e[0] * (velocity[i, 0] - velocity[j, 0] + rate * dy)
-    v += e[1] * (velocity[i, 1] - velocity[j, 1]) + e[2] * (velocity[i, 2] - velocity[j, 2])
+    vx, vy, vz = (take(c, i) - take(c, j) for c in v)
+    approach = e[0] * (vx + rate * dy) + e[1] * vy + e[2] * vz
     r = jnp.where(real, square * inverse, jnp.inf)
-    return Pairs(idx[0], idx[1], real, r, e, v, species[i], species[j])
+    return Pairs(idx[0], idx[1], real, r, e, approach, take(species, i), take(species, j))
+
+
+def take(x, i):
+    """``x[i]`` for indices known to be within bounds."""
+    return x.at[i].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def _columns(rows):
+    return tuple(rows[:, k] for k in range(3))
 
 
 def evaluate(terms, pairs: Pairs, derivative: bool):
@@ -81,7 +93,7 @@ def pair_forces(interaction: Interaction, kT, pairs: Pairs, ids, words, dt):
     zeta = evaluate(interaction.drag, pairs, derivative=False)
     n = ids.shape[0]
     i, j = jnp.minimum(pairs.i, n - 1), jnp.minimum(pairs.j, n - 1)
-    xi = noise.pair_noise(words, ids[i], ids[j], pairs.v.dtype.type)
+    xi = noise.pair_noise(words, take(ids, i), take(ids, j), pairs.v.dtype.type)
     return energy, conservative, -zeta * pairs.v, safe_sqrt(2.0 * kT * zeta / dt) * xi
 
 
@@ -95,9 +107,24 @@ def interaction_force(interaction, kT, pairs: Pairs, ids, words, dt, tally: bool
 
 def sum_onto_beads(pairs: Pairs, along, n: int):
     """``along`` e on bead i and its opposite on bead j of every pair; (n, 3)."""
-    # By component, and the laws before the sums: XLA would evaluate them again for every scatter.
-    f = jax.lax.optimization_barrier([along * e for e in pairs.e])
-    return jnp.stack([jax.ops.segment_sum(x, pairs.i, n) - jax.ops.segment_sum(x, pairs.j, n) for x in f], axis=1)
+    # The laws before the sums: XLA would evaluate them again for every scatter.
+    f = jax.lax.optimization_barrier(tuple(along * e for e in pairs.e))
+    ways = {"cpu": _sum_in_twos, "default": _sum_by_component}
+    return jax.lax.platform_dependent(pairs.i, pairs.j, f, **{k: functools.partial(w, n) for k, w in ways.items()})
+
+
+def _sum_by_component(n, i, j, f):
+    return jnp.stack([_net(x, i, j, n) for x in f], axis=1)
+
+
+def _sum_in_twos(n, i, j, f):
+    """A CPU adds a complex number as fast as a real one: x and y in one go."""
+    xy, z = _net(jax.lax.complex(f[0], f[1]), i, j, n), _net(f[2], i, j, n)
+    return jnp.stack([xy.real, xy.imag, z], axis=1)
+
+
+def _net(x, i, j, n):
+    return jax.ops.segment_sum(x, i, n) - jax.ops.segment_sum(x, j, n)
 
 
 def sum_pairs(pairs: Pairs, energy, conservative, drag, random) -> Tally:
