@@ -9,6 +9,7 @@ import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import flow as flows
+from dpdjax.engine import order
 from dpdjax.engine import status as bits
 from dpdjax.engine.record import Recorder, recorders
 from dpdjax.engine.state import State, damping_rate, pair_frequency, suggest_dt
@@ -131,35 +132,43 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
     each = any(r.accumulates for r in how)
 
     def one(state, tally):
-        return step(fluid, state, key, dt, flow, lam, tally)
+        return step(fluid, order.renewed(state), key, dt, flow, lam, tally)
+
+    ids = state.id
+    seen = lambda state: order.in_order_of(state, ids)
 
     def frame(state, _):
-        state, sums = run_interval(state, one, plan.every, how, fluid, each)
+        state, sums = run_interval(state, one, plan.every, how, fluid, each, seen)
         values = {"step": state.step, "time": state.time}
         for r, s in zip(how, sums):
-            values |= r.value(fluid, state, s, dt, plan.every)
+            values |= r.value(fluid, seen(state), s, dt, plan.every)
         broken = ~jnp.all(jnp.isfinite(state.velocity))
         return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
 
     state = started(fluid, state, key, dt, flow)
     state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
+    if order.is_kept(state):
+        state = order.in_cell_order(state)
     final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
     final = dataclasses.replace(final, status=final.status | list_trouble(fluid, final))
-    return Trajectory(final, frames, fluid, flow, dt, plan.every)
+    return Trajectory(seen(final), frames, fluid, flow, dt, plan.every)
 
 
-def run_interval(state, one, every, how: list[Recorder], fluid, each: bool):
-    """``every`` steps, the last with its pair sums, and the sums of what accumulates."""
+def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen):
+    """``every`` steps, the last with its pair sums, and the sums of what accumulates.
+
+    Recorders get ``seen(state)``: the beads in the caller's order.
+    """
     zeros = [r.zero(fluid, state) for r in how]
 
     def body(carry, _):
         state, sums = carry
         state = one(state, each)
-        return (state, [r.add(s, fluid, state) for r, s in zip(how, sums)]), None
+        return (state, [r.add(s, fluid, seen(state)) for r, s in zip(how, sums)]), None
 
     (state, sums), _ = jax.lax.scan(body, (state, zeros), length=every - 1)
     state = one(state, True)
-    return state, [r.add(s, fluid, state) for r, s in zip(how, sums)]
+    return state, [r.add(s, fluid, seen(state)) for r, s in zip(how, sums)]
 
 
 def list_trouble(fluid, state):

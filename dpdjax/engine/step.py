@@ -35,7 +35,7 @@ def started(fluid, state: State, key, dt, flow) -> State:
 
 def update_lists(state: State) -> State:
     with jax.named_scope("neighbours"):
-        neighbours = tuple(lists.update(n, state.box, state.position) for n in state.neighbours)
+        neighbours = tuple(lists.update(n, state.box, state.position, state.id) for n in state.neighbours)
     return dataclasses.replace(state, neighbours=neighbours)
 
 
