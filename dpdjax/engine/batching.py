@@ -30,7 +30,9 @@ def where_needed(work):
 
     @jax.custom_batching.custom_vmap
     def single(needed, old, inputs):
-        return jax.lax.cond(needed, lambda: work(old, *inputs), lambda: old)
+        # A loop of no or one turn: it leaves ``old`` in place, where a branch would copy it.
+        turn = lambda carry: (jnp.zeros_like(needed), work(carry[1], *inputs))
+        return jax.lax.while_loop(lambda carry: carry[0], turn, (needed, old))[1]
 
     @single.def_vmap
     def _(axis_size, in_batched, needed, old, inputs):

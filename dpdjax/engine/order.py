@@ -10,13 +10,12 @@ import jax
 import jax.numpy as jnp
 
 from dpdjax.engine import neighbours as lists
-from dpdjax.engine.batching import any_in_batch
 from dpdjax.engine.state import State
 
 SMALLEST = 10_000
 """Beads from which sorting pays: fewer stay in the cache in any order."""
-EVERY = 500
-"""Steps between two sorts: beads move a cell or so."""
+LASTS = 100
+"""Steps for which an order is as good as new: beads move a fraction of a cell."""
 
 
 def is_kept(state: State) -> bool:
@@ -24,16 +23,10 @@ def is_kept(state: State) -> bool:
     return state.n >= SMALLEST and all(n.grid.cells is not None for n in state.neighbours)
 
 
-def renewed(state: State) -> State:
-    """The state in the order of its cells, if one is due at this step."""
+def in_cell_order(state: State) -> State:
+    """The same beads, sorted by the cells of the first list; small boxes are left alone."""
     if not is_kept(state):
         return state
-    due = any_in_batch(state.step % EVERY == 0)
-    return jax.lax.cond(due, in_cell_order, lambda state: state, state)
-
-
-def in_cell_order(state: State) -> State:
-    """The same beads, sorted by the cells of the first list."""
     grid = state.neighbours[0].grid
     position = jax.lax.stop_gradient(state.position)
     return permuted(state, lists.cell_order(grid, state.box, position, state.id))

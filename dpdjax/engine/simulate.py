@@ -132,12 +132,14 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
     each = any(r.accumulates for r in how)
 
     def one(state, tally):
-        return step(fluid, order.renewed(state), key, dt, flow, lam, tally)
+        return step(fluid, state, key, dt, flow, lam, tally)
 
     ids = state.id
     seen = lambda state: order.in_order_of(state, ids)
 
     def frame(state, _):
+        if plan.every >= order.LASTS:
+            state = order.in_cell_order(state)
         state, sums = run_interval(state, one, plan.every, how, fluid, each, seen)
         values = {"step": state.step, "time": state.time}
         for r, s in zip(how, sums):
@@ -147,7 +149,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
 
     state = started(fluid, state, key, dt, flow)
     state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
-    if order.is_kept(state):
+    if plan.every < order.LASTS:
         state = order.in_cell_order(state)
     final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
     final = dataclasses.replace(final, status=final.status | list_trouble(fluid, final))

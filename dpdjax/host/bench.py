@@ -16,10 +16,12 @@ from dpdjax.host.run import run
 
 SETTLE = 400
 """Steps from a random start to a fluid whose lists last as long as they will."""
+LARGEST_SETTLE, LONGEST = 100_000_000, 5_000_000
+"""Particle-steps at which the settling and a timed run of a large box are cut short."""
 
 
 def bench(
-    fluid, key, *, beads: int, dt, density=3.0, batch: int = 1, skin=None, steps: int = 200, repeats: int = 5, tangent=False
+    fluid, key, *, beads: int, dt, density=3.0, batch: int = 1, skin=None, steps=None, repeats: int = 5, tangent=False
 ) -> dict:
     """Measure the speed of plain runs of a cubic box, or of ``batch`` of them under ``vmap``.
 
@@ -31,7 +33,7 @@ def bench(
         density: beads per volume.
         batch: boxes side by side.
         skin: margin of the lists [length]; by default :func:`dpdjax.suggest_skin`.
-        steps: steps of one timed run.
+        steps: steps of one timed run, even; by default 200, fewer in large boxes.
         repeats: timed runs; medians are returned.
         tangent: time the forward derivative with respect to gamma too.
 
@@ -39,13 +41,14 @@ def bench(
     ``compile_seconds``, ``peak_memory_bytes`` (of the device; of the process on a CPU),
     ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too.
     """
+    steps = _even(min(200, LONGEST / (beads * batch))) if steps is None else _even(steps)
     state, keys = _settled(fluid, key, beads, density, batch, skin, dt)
     plain = _Program(_plain(dt, steps), fluid, state, keys)
     seconds = plain.seconds(repeats)
     result = {
         "particle_steps_per_second": beads * batch * steps / seconds,
         "rebuild_seconds": _rebuild_seconds(state, repeats),
-        "steps_per_rebuild": _steps_per_rebuild(fluid, state, keys, dt),
+        "steps_per_rebuild": _steps_per_rebuild(fluid, state, keys, dt, max(20, steps)),
         "compile_seconds": plain.compile_seconds,
         "peak_memory_bytes": peak_memory(),
         "device": jax.devices()[0].device_kind,
@@ -96,7 +99,13 @@ def _settled(fluid, key, beads, density, batch, skin, dt) -> tuple[State, jax.Ar
     keys = key if batch == 1 else jax.random.split(key, batch)
     state = start(keys) if batch == 1 else jax.vmap(start)(keys)
     coarse = max(float(dt), suggest_dt(fluid, density))
-    return run(fluid, state, keys, coarse, Plan(10, SETTLE // 10), progress=False).final.restarted(), keys
+    steps = min(SETTLE, LARGEST_SETTLE / (beads * batch))
+    return run(fluid, state, keys, coarse, Plan(_even(steps / 5), 5), progress=False).final.restarted(), keys
+
+
+def _even(steps) -> int:
+    """The nearest even number of at least 10."""
+    return max(10, 2 * round(steps / 2))
 
 
 def _boxes(function, keys):
@@ -129,7 +138,7 @@ def _rebuild_seconds(state, repeats) -> float:
     return statistics.median(durations[1:])
 
 
-def _steps_per_rebuild(fluid, state, keys, dt, steps: int = 200) -> float:
+def _steps_per_rebuild(fluid, state, keys, dt, steps) -> float:
     """Steps over the number of them in which a list was built, as its reference positions tell."""
     anchor = lambda fluid, state: {"anchor": state.neighbours[0].list.reference_position[0]}
     frames = run(fluid, state, keys, dt, Plan(steps, 1), observe=anchor, progress=False).frames["anchor"]
