@@ -24,11 +24,11 @@ OBSERVE = [dpd.mean(dpd.stresses), places]
 
 @pytest.fixture
 def run(monkeypatch, water, key):
-    """``run(state, kept, plan)``: sheared water with and without sorting, every third step."""
+    """``run(state, kept, plan, lasts)``: sheared water with and without sorting, each frame or once."""
 
-    def go(state, kept, plan=PLAN):
+    def go(state, kept, plan=PLAN, lasts=3):
         monkeypatch.setattr(order, "SMALLEST", 100 if kept else 10**9)
-        monkeypatch.setattr(order, "EVERY", 3)
+        monkeypatch.setattr(order, "LASTS", lasts)
         simulate = lambda state, key: dpd.simulate(water, state, key, 0.01, plan, FLOW, observe=OBSERVE)
         simulate = jax.jit(simulate if state.position.ndim == 2 else jax.vmap(simulate))
         return simulate(state, key if state.position.ndim == 2 else jax.random.split(key, len(state.position)))
@@ -44,8 +44,9 @@ def same_bits(a, b):
     return all(np.array_equal(x, y) for x, y in zip(arrays(a), arrays(b), strict=True))
 
 
-def test_sorting_is_bitwise_invisible(run, sheared_water):
-    sorted_run, plain = run(sheared_water, True), run(sheared_water, False)
+@pytest.mark.parametrize("lasts", [3, 100], ids=["each frame", "once"])
+def test_sorting_is_bitwise_invisible(lasts, run, sheared_water):
+    sorted_run, plain = run(sheared_water, True, lasts=lasts), run(sheared_water, False)
     assert jnp.any(plain.final.neighbours[0].list.reference_position != sheared_water.neighbours[0].list.reference_position)
     assert same_bits(sorted_run, plain)
 
@@ -71,7 +72,8 @@ def test_beads_come_back_in_the_order_they_were_given(run, sheared_water):
     assert jnp.array_equal(ran.velocity, straight.velocity[shuffled.id])
 
 
-def test_beads_of_a_cell_lie_together(sheared_water):
+def test_beads_of_a_cell_lie_together(monkeypatch, sheared_water):
+    monkeypatch.setattr(order, "SMALLEST", 0)
     state = order.in_cell_order(sheared_water)
     grid = state.neighbours[0].grid
     cell = lists._cells(grid, state.box, state.position)[1]

@@ -9,6 +9,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
+from dpdjax.engine import forces
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.simulate import advance
@@ -112,6 +113,19 @@ def test_pair_forces_sum_to_zero(water, quiet_water, sheared_water, key):
         assert jnp.max(jnp.abs(jnp.sum(force, axis=0))) < 1e-11
 
 
+@pytest.mark.parametrize("block", [256, 300, 3071])
+def test_blocks_of_pairs_add_up_to_the_whole_list(block, monkeypatch, water, sheared_water, key):
+    whole = lambda state: pair_force(water, state, state.velocity, 1.0, key, 0.01, tally=True)
+    blocked = lambda state: pair_force(water, state, state.velocity, 1.0, key, 0.01, tally=True)
+    force, tally = jax.jit(whole)(sheared_water)
+    monkeypatch.setattr(forces, "BLOCK", block)
+    monkeypatch.setattr(forces, "BLOCKED_FROM", 0)
+    assert block < sheared_water.neighbours[0].grid.capacity
+    in_blocks, tally_in_blocks = jax.jit(blocked)(sheared_water)
+    np.testing.assert_allclose(in_blocks, force, atol=1e-11)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), tally_in_blocks, tally)
+
+
 @pytest.mark.parametrize("flow", [None, dpd.shear(1.0)], ids=["quiet", "sheared"])
 def test_momentum_is_conserved_over_a_run(flow, water, fresh, simulate, key, long):
     push = dataclasses.replace(fresh, velocity=fresh.velocity + jnp.array([[1.0, 0.0, -2.0]]))
@@ -205,15 +219,21 @@ def inner(value):
             yield from inner(one)
 
 
-def conds_in_loops(jaxpr, looping=False):
-    """How many ``cond`` a program holds inside its loops, however deep."""
-    total = 0
+def equations(jaxpr):
+    """Every equation of a program, however deep."""
     for eqn in jaxpr.eqns:
-        name = eqn.primitive.name
-        total += looping and name == "cond"
+        yield eqn
         for value in eqn.params.values():
-            total += sum(conds_in_loops(j, looping or name == "scan") for j in inner(value))
-    return total
+            for one in inner(value):
+                yield from equations(one)
+
+
+def guards_a_sort(eqn):
+    """Whether an equation decides, with one flag, if beads are sorted; a batched flag would be none."""
+    if eqn.primitive.name not in ("cond", "while"):
+        return False
+    bodies = [one for value in eqn.params.values() for one in inner(value)]
+    return any(e.primitive.name == "sort" for body in bodies for e in equations(body))
 
 
 @pytest.mark.parametrize("batches", [0, 1, 2])
@@ -226,4 +246,9 @@ def test_list_updates_stay_a_branch_under_vmap(batches, water, quiet_water, key)
         run, keys = jax.vmap(run, (None, 0)), jax.random.split(key, 3)
     if batches > 1:
         run, gamma = jax.vmap(run, (0, None)), jnp.array([2.0, 4.5])
-    assert conds_in_loops(jax.make_jaxpr(run)(gamma, keys).jaxpr) >= 1
+    steps = [e for e in equations(jax.make_jaxpr(run)(gamma, keys).jaxpr) if e.primitive.name == "scan"]
+    sorts = [e for loop in steps for e in equations(loop.params["jaxpr"].jaxpr)]
+    guarded = [g for g in sorts if guards_a_sort(g)]
+    assert guarded
+    inside = {id(e) for g in guarded for value in g.params.values() for one in inner(value) for e in equations(one)}
+    assert all(id(e) in inside for e in sorts if e.primitive.name == "sort" and e.outvars[0].aval.size > 10)

@@ -1,6 +1,5 @@
 """The force pass: every pair of a list once, every law once, both beads at the end."""
 
-import functools
 from typing import NamedTuple
 
 import jax
@@ -11,6 +10,8 @@ from dpdjax.engine import noise
 from dpdjax.engine.state import Tally
 from dpdjax.model.fluid import Fluid, Interaction
 
+BLOCK, BLOCKED_FROM = 65_536, 1_000_000
+"""Pairs of a block, and of the smallest list worked on in blocks (measured: tests/benchmarks)."""
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -27,36 +28,46 @@ class Pairs(NamedTuple):
     sj: jax.Array
 
 
-def pair_geometry(box, position, velocity, species, idx, rate) -> Pairs:
-    """Distance, direction and approach velocity of each pair.
+class Beads(NamedTuple):
+    """What the pairs read of the beads, in columns of shape (n,)."""
+
+    position: tuple
+    velocity: tuple
+    species: jax.Array
+    id: jax.Array
+
+    @classmethod
+    def of(cls, state, velocity) -> "Beads":
+        # Whole columns first: XLA would fold what makes them into every single read.
+        columns = lambda rows: tuple(rows[:, k] for k in range(3))
+        x, v = jax.lax.optimization_barrier((columns(state.position), columns(velocity)))
+        return cls(x, v, state.species, state.id)
+
+
+def pair_geometry(box, beads: Beads, idx, rate) -> Pairs:
+    """Distance, direction and approach velocity of each pair of ``idx`` (2, pairs).
 
     The lab velocities of two beads differ by their peculiar velocities and by
     ``rate y_ij`` of the nearest image, which is the jump across the y-boundary too.
     """
-    n = position.shape[0]
+    n = beads.id.shape[0]
     real = idx[0] < n
     i, j = jnp.minimum(idx[0], n - 1), jnp.minimum(idx[1], n - 1)
-    # Whole columns first: XLA would fold what makes them into every single read.
-    x, v = jax.lax.optimization_barrier((_columns(position), _columns(velocity)))
-    dx, dy, dz = boxes.minimum_image(box, *(take(c, i) - take(c, j) for c in x))
+    dx, dy, dz = boxes.minimum_image(box, *(take(c, i) - take(c, j) for c in beads.position))
     square = dx * dx + dy * dy + dz * dz
     real &= square > 0
     # Padded slots are pairs of a bead with itself: keep zero out of the root and its derivative.
     inverse = jax.lax.rsqrt(jnp.where(real, square, 1.0))
     e = (dx * inverse, dy * inverse, dz * inverse)
-    vx, vy, vz = (take(c, i) - take(c, j) for c in v)
+    vx, vy, vz = (take(c, i) - take(c, j) for c in beads.velocity)
     approach = e[0] * (vx + rate * dy) + e[1] * vy + e[2] * vz
     r = jnp.where(real, square * inverse, jnp.inf)
-    return Pairs(idx[0], idx[1], real, r, e, approach, take(species, i), take(species, j))
+    return Pairs(idx[0], idx[1], real, r, e, approach, take(beads.species, i), take(beads.species, j))
 
 
 def take(x, i):
     """``x[i]`` for indices known to be within bounds."""
     return x.at[i].get(mode="promise_in_bounds", wrap_negative_indices=False)
-
-
-def _columns(rows):
-    return tuple(rows[:, k] for k in range(3))
 
 
 def evaluate(terms, pairs: Pairs, derivative: bool):
@@ -97,34 +108,73 @@ def pair_forces(interaction: Interaction, kT, pairs: Pairs, ids, words, dt):
     return energy, conservative, -zeta * pairs.v, safe_sqrt(2.0 * kT * zeta / dt) * xi
 
 
-def interaction_force(interaction, kT, pairs: Pairs, ids, words, dt, tally: bool):
-    """Force on each bead (n, 3), and the sums over pairs where asked for."""
-    energy, conservative, drag, random = pair_forces(interaction, kT, pairs, ids, words, dt)
-    total = conservative + drag + random
-    force = sum_onto_beads(pairs, total, ids.shape[0])
-    return force, sum_pairs(pairs, energy, conservative, drag, random) if tally else None
+def interaction_force(interaction, kT, box, beads: Beads, idx, rate, words, dt, tally: bool):
+    """Force on each bead (n, 3) from one list, and the sums over its pairs where asked for."""
+    n, dtype = beads.id.shape[0], beads.position[0].dtype
+
+    def add(sums, part):
+        net, totals = sums
+        pairs = pair_geometry(box, beads, part, rate)
+        energy, conservative, drag, random = pair_forces(interaction, kT, pairs, beads.id, words, dt)
+        net = net_add(net, pairs, conservative + drag + random)
+        return net, totals + sum_pairs(pairs, energy, conservative, drag, random) if tally else totals
+
+    sums = over_blocks(add, (net_zero(n, dtype), Tally.zero(dtype)), idx, n)
+    return net_force(sums[0]), sums[1] if tally else None
 
 
 def sum_onto_beads(pairs: Pairs, along, n: int):
-    """``along`` e on bead i and its opposite on bead j of every pair; (n, 3)."""
+    """``along`` e on the first and its opposite on the second bead of every pair; (n, 3)."""
+    return net_force(net_add(net_zero(n, along.dtype), pairs, along))
+
+
+def over_blocks(add, sums, idx, pad: int):
+    """``sums = add(sums, part)`` over ``idx`` (2, pairs): all of it at once, or what a CPU's cache holds at a time.
+
+    The last block is filled with ``pad``.
+    """
+    capacity, size = idx.shape[1], BLOCK
+    if capacity < BLOCKED_FROM or not on_cpu():
+        return add(sums, idx)
+
+    def turn(sums, begin):
+        # The last block reaches back into the one before it.
+        start = jnp.minimum(begin, capacity - size)
+        fresh = start + jnp.arange(size, dtype=idx.dtype) >= begin
+        part = jax.lax.dynamic_slice_in_dim(idx, start, size, 1)
+        return add(sums, jnp.where(fresh[None], part, pad)), None
+
+    return jax.lax.scan(turn, sums, jnp.arange(0, capacity, size, dtype=idx.dtype))[0]
+
+
+def net_zero(n: int, dtype):
+    """Empty sums over first and over second beads, each as its parts (n,).
+
+    The parts are x, y, z; on a CPU x + i y and z: it adds a complex number as fast as a real one.
+    """
+    z = jnp.zeros(n, dtype)
+    parts = (jax.lax.complex(z, z), z) if on_cpu() else (z, z, z)
+    return parts, parts
+
+
+def on_cpu() -> bool:
+    return jax.default_backend() == "cpu"
+
+
+def net_add(net, pairs: Pairs, along):
+    """Add ``along`` e of every pair to the sums of its first and of its second bead."""
     # The laws before the sums: XLA would evaluate them again for every scatter.
     f = jax.lax.optimization_barrier(tuple(along * e for e in pairs.e))
-    ways = {"cpu": _sum_in_twos, "default": _sum_by_component}
-    return jax.lax.platform_dependent(pairs.i, pairs.j, f, **{k: functools.partial(w, n) for k, w in ways.items()})
+    parts = (jax.lax.complex(f[0], f[1]), f[2]) if len(net[0]) == 2 else f
+    add = lambda total, i, part: total.at[i].add(part, mode="drop", wrap_negative_indices=False)
+    return tuple(tuple(add(t, i, p) for t, p in zip(totals, parts)) for totals, i in zip(net, (pairs.i, pairs.j)))
 
 
-def _sum_by_component(n, i, j, f):
-    return jnp.stack([_net(x, i, j, n) for x in f], axis=1)
-
-
-def _sum_in_twos(n, i, j, f):
-    """A CPU adds a complex number as fast as a real one: x and y in one go."""
-    xy, z = _net(jax.lax.complex(f[0], f[1]), i, j, n), _net(f[2], i, j, n)
-    return jnp.stack([xy.real, xy.imag, z], axis=1)
-
-
-def _net(x, i, j, n):
-    return jax.ops.segment_sum(x, i, n) - jax.ops.segment_sum(x, j, n)
+def net_force(net):
+    """What the pairs push each bead by (n, 3): first beads one way, second beads the other."""
+    parts = [first - second for first, second in zip(*net)]
+    x, y, z = (parts[0].real, parts[0].imag, parts[1]) if len(parts) == 2 else parts
+    return jnp.stack([x, y, z], axis=1)
 
 
 def sum_pairs(pairs: Pairs, energy, conservative, drag, random) -> Tally:
@@ -148,11 +198,10 @@ def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False
     Noise is that of ``state.step``. Returns (force, Tally or None).
     """
     force, sums = jnp.zeros_like(state.position), Tally.zero(state.position.dtype)
+    beads = Beads.of(state, velocity)
     for channel, (interaction, neighbours) in enumerate(zip(fluid.interactions, state.neighbours)):
-        idx = neighbours.list.idx
-        pairs = pair_geometry(state.box, state.position, velocity, state.species, idx, rate)
         words = noise.step_words(key, state.step, channel)
-        f, t = interaction_force(interaction, fluid.kT, pairs, state.id, words, dt, tally)
+        f, t = interaction_force(interaction, fluid.kT, state.box, beads, neighbours.list.idx, rate, words, dt, tally)
         force = force + f
         sums = sums + t if tally else None
     return force, sums

@@ -7,7 +7,7 @@ A run evaluates them inside its compiled loop. Stresses are kept as pressure ten
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine.forces import evaluate, pair_geometry, sum_onto_beads
+from dpdjax.engine.forces import Beads, evaluate, pair_geometry, sum_onto_beads
 
 
 def kinetic_pressure(fluid, state):
@@ -70,9 +70,9 @@ def positions(fluid, state) -> dict:
 
 
 def _geometries(fluid, state):
+    beads = Beads.of(state, state.velocity)
     for interaction, neighbours in zip(fluid.interactions, state.neighbours):
-        idx = neighbours.list.idx
-        yield interaction, pair_geometry(state.box, state.position, state.velocity, state.species, idx, 0.0)
+        yield interaction, pair_geometry(state.box, beads, neighbours.list.idx, 0.0)
 
 
 def configurational_temperature(fluid, state):
