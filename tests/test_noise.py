@@ -7,10 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dpdjax.engine.noise import pair_noise, step_words
+from dpdjax.engine import noise
+from dpdjax.engine.noise import step_words
 
 BEADS = 1500
 SIGMAS = 4.0
+
+
+def pair_noise(words, i, j, dtype):
+    """The noise of pairs of ids."""
+    a, b = (noise.bead_words(words, jnp.asarray(k)) for k in (i, j))
+    return noise.pair_noise(words, a, b, dtype)
 
 
 @functools.cache
@@ -71,6 +78,36 @@ def test_noise_summed_over_the_partners_of_a_bead_has_the_variance_of_independen
 def test_noise_around_triangles_is_independent():
     xi = table()
     assert abs(np.trace(xi @ xi @ xi)) < SIGMAS * np.sqrt(6 * BEADS**3)
+
+
+def bits(words, i, j):
+    """The 23 bits each number is made of, (pairs, 23)."""
+    k = np.round(np.asarray(pair_noise(words, i, j, np.float64)) / 12**0.5 * 2**23 + (2**22 - 0.5)).astype(np.int64)
+    return k[:, None] >> np.arange(23) & 1
+
+
+def test_each_bit_of_an_id_and_of_the_step_turns_each_bit_of_the_noise_half_the_time():
+    rng, count = np.random.default_rng(4), 20_000
+    i, j = rng.integers(0, 2**20, (2, count))
+    words = step_words(jax.random.key(0), 3)
+    here = bits(words, i, j)
+    there = [bits(words, i ^ 1 << b, j) for b in range(20)]
+    there += [bits(words.at[w].set(words[w] ^ np.uint32(1 << b)), i, j) for w in (0, 1) for b in range(32)]
+    turned = np.mean([here != other for other in there], axis=1)
+    assert turned.shape == (84, 23)
+    assert np.max(np.abs(turned - 0.5)) < 5 * 0.5 / np.sqrt(count)
+
+
+@pytest.mark.parametrize("step", range(6))
+def test_two_beads_share_no_stretch_of_noise(step):
+    """Numbers that are equal in all 23 bits are as many as chance makes them, and not in runs."""
+    xi, (i, _) = upper(table(step=step)), np.triu_indices(BEADS, 1)
+    order = np.argsort(xi)
+    equal = np.flatnonzero(np.diff(xi[order]) == 0)
+    expected = xi.size + 2**23 * np.expm1(-xi.size / 2**23)
+    assert abs(equal.size - expected) < 6 * np.sqrt(expected)
+    first, second = np.sort([i[order[equal]], i[order[equal + 1]]], axis=0)
+    assert np.max(np.unique(first * BEADS + second, return_counts=True)[1]) < 10
 
 
 def test_noise_is_symmetric():

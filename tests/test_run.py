@@ -212,7 +212,7 @@ def test_file_that_is_no_state(tmp_path, state):
     with pytest.raises(FileNotFoundError):
         dpd.load_state(tmp_path / "nowhere.npz")
     np.savez(tmp_path / "future.npz", meta='{"format": 99, "grids": []}')
-    with pytest.raises(ValueError, match="future.npz has format 99, this version reads 1"):
+    with pytest.raises(ValueError, match="future.npz has format 99, this version reads 2"):
         dpd.load_state(tmp_path / "future.npz")
     dpd.save_state(tmp_path / "state.npz", state)
     with np.load(tmp_path / "state.npz") as file:

@@ -94,28 +94,31 @@ def safe_sqrt(x):
     return jnp.where(above, jnp.sqrt(jnp.where(above, x, 1.0)), 0.0)
 
 
-def pair_forces(interaction: Interaction, kT, pairs: Pairs, ids, words, dt):
+def pair_forces(interaction: Interaction, kT, pairs: Pairs, words, of_bead, dt):
     """Energy and the conservative, drag and random force of each pair along ``e``.
+
+    ``words`` key the noise of the step, ``of_bead`` (n,) that of each bead (``dpdjax.engine.noise``).
 
     The random force follows from the *sum* of the frictions, so fluctuation and
     dissipation balance for any drag law (Espanol & Warren 1995, eq. 8).
     """
     energy, conservative = evaluate(interaction.conservative, pairs, derivative=True)
     zeta = evaluate(interaction.drag, pairs, derivative=False)
-    n = ids.shape[0]
-    i, j = jnp.minimum(pairs.i, n - 1), jnp.minimum(pairs.j, n - 1)
-    xi = noise.pair_noise(words, take(ids, i), take(ids, j), pairs.v.dtype.type)
+    n = of_bead.shape[0]
+    a, b = (take(of_bead, jnp.minimum(k, n - 1)) for k in (pairs.i, pairs.j))
+    xi = noise.pair_noise(words, a, b, pairs.v.dtype.type)
     return energy, conservative, -zeta * pairs.v, safe_sqrt(2.0 * kT * zeta / dt) * xi
 
 
 def interaction_force(interaction, kT, box, beads: Beads, idx, rate, words, dt, tally: bool):
     """Force on each bead (n, 3) from one list, and the sums over its pairs where asked for."""
     n, dtype = beads.id.shape[0], beads.position[0].dtype
+    of_bead = jax.lax.optimization_barrier(noise.bead_words(words, beads.id))
 
     def add(sums, part):
         net, totals = sums
         pairs = pair_geometry(box, beads, part, rate)
-        energy, conservative, drag, random = pair_forces(interaction, kT, pairs, beads.id, words, dt)
+        energy, conservative, drag, random = pair_forces(interaction, kT, pairs, words, of_bead, dt)
         net = net_add(net, pairs, conservative + drag + random)
         return net, totals + sum_pairs(pairs, energy, conservative, drag, random) if tally else totals
 

@@ -1,5 +1,8 @@
 """Pair noise: a function of (key, step, {i, j}) and of nothing else.
 
+A word is made of each bead's id and the step, and one number of the sum of two words, each by a
+short integer hash; what statistical batteries say of it is in tests/benchmarks/NOISE.md.
+
 Two lists that hold the same pair give it the same number, whatever its slot; so an
 overflow can be replayed, a restart is exact, and the order of the beads is free.
 """
@@ -26,15 +29,18 @@ def mix(x):
     return x ^ (x >> 14)
 
 
-def pair_noise(words, i, j, dtype):
-    """One number of mean 0 and variance 1 per unordered pair of ids, uniform.
+def bead_words(words, ids):
+    """One uint32 word for each bead, of which the noise of its pairs is made; (n,)."""
+    return mix(ids.astype(jnp.uint32) ^ words[0])
+
+
+def pair_noise(words, a, b, dtype):
+    """One number of mean 0 and variance 1 per pair of beads with the words ``a`` and ``b``, uniform.
 
     Uniform noise has the same weak order as Gaussian (Dunweg & Paul 1991). The 23
-    top bits are centred, so that the mean is zero to the last bit.
+    top bits are centred, so that the mean is zero to the last bit. The sum of two words knows no
+    order; and, unlike a sum that is linear in an id, two beads never share a stretch of it.
     """
-    low = jnp.minimum(i, j).astype(jnp.uint32)
-    high = jnp.maximum(i, j).astype(jnp.uint32)
-    x = mix(low ^ words[0])
-    x = mix(x + high * jnp.uint32(0x9E3779B9) + words[1])
+    x = mix((a + b) ^ words[1])
     centred = (x >> 9).astype(dtype) + dtype(0.5 - 2.0**22)
     return centred * dtype(12.0**0.5 * 2.0**-23)

@@ -1,6 +1,7 @@
 """The state of a run: where the beads are, and all that a bitwise restart needs."""
 
 import dataclasses
+import functools
 import math
 from typing import Any
 
@@ -156,6 +157,12 @@ def initial_state(
 
 def assemble(box: boxes.Box, position, velocity, species, grids) -> State:
     """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,)."""
+    return _assembled(box, position, velocity, species, tuple(grids))
+
+
+@functools.partial(jax.jit, static_argnames="grids")
+def _assembled(box, position, velocity, species, grids):
+    # One program: operation by operation, a first list takes seconds to compile.
     n = position.shape[0]
     position, _ = boxes.wrap(box, position)
     integers = jnp.zeros((), jnp.int32)
@@ -316,6 +323,7 @@ def _lattice(n, lengths):
     return (np.stack(np.unravel_index(chosen, sites), 1) + 0.5) / sites * lengths
 
 
+@jax.jit
 def _velocities(key, mass, kT):
     """Maxwell velocities, shifted to zero momentum."""
     draw = jax.random.normal(jax.random.fold_in(key, VELOCITY_DOMAIN), (mass.shape[0], 3), dtype=mass.dtype)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import neighbours as lists
+from dpdjax.engine import order
 from dpdjax.engine.simulate import Plan, simulate
 from dpdjax.engine.state import State, initial_state, suggest_dt
 from dpdjax.host.run import run
@@ -132,9 +133,10 @@ def _tangent(dt, steps):
 
 
 def _rebuild_seconds(state, repeats) -> float:
-    build = lambda box, position: lists.allocate(state.neighbours[0].grid, box, position).list.idx
-    build = jax.jit(build if state.position.ndim == 2 else jax.vmap(build))
-    durations = [_duration(build, state.box, state.position) for _ in range(repeats + 1)]
+    build = lambda state: lists.allocate(state.neighbours[0].grid, state.box, state.position, state.id).list.idx
+    each = (lambda function: function) if state.position.ndim == 2 else jax.vmap
+    state, build = jax.jit(each(order.in_cell_order))(state), jax.jit(each(build))
+    durations = [_duration(build, state) for _ in range(repeats + 1)]
     return statistics.median(durations[1:])
 
 

@@ -12,7 +12,7 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine.box import Box
 from dpdjax.engine.state import State, Tally
 
-FORMAT = 1
+FORMAT = 2
 ARRAYS = ("position", "velocity", "force", "image", "id", "species", "step", "time", "started", "status")
 
 

@@ -107,11 +107,12 @@ def _check_members(fluid, dt, flow, key):
             )
 
 
+_list_trouble = jax.jit(list_trouble)
+
+
 def _refuse(fluid, state, key):
     """Raise for a list that cannot serve the fluid, before anything runs."""
-    check = lambda fluid, state: list_trouble(fluid, state)
-    if key.ndim:
-        check = jax.vmap(check, (fluid.batch_axes(), 0))
+    check = jax.vmap(list_trouble, (fluid.batch_axes(), 0)) if key.ndim else _list_trouble
     trouble = bits.describe(check(fluid, state))
     if trouble:
         raise ValueError(trouble)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import dpdjax as dpd
-from dpdjax.engine.noise import pair_noise, step_words
+from dpdjax.engine import noise
 
 HERE = Path(__file__).parent
 CHUNK = 1 << 22
@@ -46,6 +46,12 @@ int main(void) {
     return 0;
 }
 """
+
+
+def pair_noise(key, step, i, j):
+    """The noise of pairs of ids at a step."""
+    words = noise.step_words(key, step)
+    return noise.pair_noise(words, noise.bead_words(words, i), noise.bead_words(words, j), np.float64)
 
 
 def integers(xi):
@@ -77,14 +83,14 @@ def by_list(key, block):
     """All pairs of a real list at one step after the other: what a run consumes, as it does."""
     i, j = listed_pairs()
     steps = CHUNK // i.size
-    at = lambda step: pair_noise(step_words(key, step), i, j, np.float64)
+    at = lambda step: pair_noise(key, step, i, j)
     return jax.vmap(at)(block * steps + jnp.arange(steps))
 
 
 def by_pair(key, block):
     """1,024 fixed pairs, each at 4,096 consecutive steps before the next."""
     i, j = (jax.lax.dynamic_slice_in_dim(x, block * 1024 % 200_000, 1024) for x in listed_pairs())
-    at = lambda step: pair_noise(step_words(key, step), i, j, np.float64)
+    at = lambda step: pair_noise(key, step, i, j)
     return jax.vmap(at)(4096 * block + jnp.arange(4096)).T
 
 
@@ -92,7 +98,7 @@ def by_id(key, block):
     """At one step, beads 0, 1, 2, ... each with its 2,048 successors."""
     i = jnp.arange(2048, dtype=jnp.int32)
     first, second = jnp.broadcast_arrays(i[:, None], i[:, None] + 1 + i[None])
-    return pair_noise(step_words(key, block), first, second, np.float64)
+    return pair_noise(key, block, first, second)
 
 
 def threefry(key, block):
