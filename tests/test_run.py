@@ -90,8 +90,8 @@ def test_list_that_overflows_on_the_way_is_grown_and_replayed(run, state):
     pairs = int(jnp.sum(with_capacity(state, 3072).neighbours[0].list.idx[0] < state.n))
     tight = with_capacity(state, pairs)
     assert tight.neighbours[0].list.error.code == 0
-    roomy = run(with_capacity(state, 3072), 12)
-    repaired = run(tight, 12)
+    roomy = run(with_capacity(state, 3072), 40)
+    repaired = run(tight, 40)
     assert repaired.final.neighbours[0].grid.capacity > pairs
     for name in ("position", "velocity", "force", "image", "step", "time"):
         assert jnp.array_equal(getattr(roomy.final, name), getattr(repaired.final, name))
