@@ -66,7 +66,8 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--beads", type=int, default=24_000, help="beads of one box (default: 24000)")
     bench.add_argument("--batch", type=int, default=1, help="boxes side by side (default: 1)")
     bench.add_argument("--skin", type=float, default=None, help="margin of the lists (default: the cheapest)")
-    bench.add_argument("--steps", type=int, default=None, help="steps of one timed run, medians of five (default: 200, fewer in large boxes)")
+    steps = "steps of one timed run, medians of five (default: 200, fewer in large boxes)"
+    bench.add_argument("--steps", type=int, default=None, help=steps)
     bench.add_argument("--tangent", action="store_true", help="time the derivative with respect to gamma too")
     bench.set_defaults(work=_bench, readable=_speed, plot=None)
     return parser

@@ -55,7 +55,7 @@ class State:
         velocity: peculiar velocities, the streaming velocity taken off, (n, 3).
         force: force of the last step, on which the next half kick depends, (n, 3).
         image: how many sides each bead was carried over since the start, (n, 3) int32.
-        id: what the noise of a bead is keyed by, (n,) int32; travels with the bead.
+        id: what the noise of a bead is keyed by, a permutation of 0 to n - 1, (n,) int32; travels with the bead.
         species: index into the tables of the fluid, (n,) int32.
         box: lengths and strain.
         step: absolute number of the step, which keys the noise.

@@ -147,12 +147,14 @@ def main():
                     blocks, verdict = battery(driver, stream, low, 2026)
                     if verdict:
                         # A lone p-value of one in a thousand is expected among 120: another key tells.
-                        verdict += f" (another key: {battery(driver, stream, low, 2027)[1] or 'all 15 passed'})"
-                    what = stream.__doc__.rstrip(".")
-                    lines.append(f"| {what} | {'low' if low else 'top'} 16 | {blocks * CHUNK // 2:.2g} | {verdict or 'all 15 passed'} |")
+                        again = battery(driver, stream, low, 2027)[1]
+                        verdict += f" (another key: {again or 'all 15 passed'})"
+                    what, bits = stream.__doc__.rstrip("."), "low 16" if low else "top 16"
+                    lines.append(f"| {what} | {bits} | {blocks * CHUNK // 2:.2g} | {verdict or 'all 15 passed'} |")
                     print(lines[-1], flush=True)
     if arguments.only is None:
-        head = f"# The pair noise through SmallCrush\n\nWritten by `python tests/benchmarks/noise.py`; {datetime.date.today()}, TestU01 1.2.3.\n\n"
+        head = "# The pair noise through SmallCrush\n\nWritten by `python tests/benchmarks/noise.py`; "
+        head += f"{datetime.date.today()}, TestU01 1.2.3.\n\n"
         (HERE / "NOISE.md").write_text(head + "\n".join(lines) + "\n")
 
 
