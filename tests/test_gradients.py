@@ -125,8 +125,7 @@ def test_an_overflow_is_nan_in_value_and_gradient(start, value, reverse, forward
     assert jnp.isnan(value(crowded))
     assert jnp.isnan(forward(crowded, along(crowded, crowded["fluid"].kT)))
     gradient = reverse(crowded)
-    # Of each number; a bead that no pair of the short list touches may itself keep a derivative of 0.
-    assert all(jnp.isnan(jnp.sum(pick(gradient))) for pick in NUMBERS.values())
+    assert all(jnp.all(jnp.isnan(pick(gradient))) for pick in NUMBERS.values())
 
 
 def test_a_poisoned_run_says_why(start, simulate, sheared_water, key, ten):

@@ -18,7 +18,7 @@ def pair(r, speed=0.0, species=(0, 0)):
     box = boxes.box(3.0)
     position = jnp.array([[0.1, 1.0, 1.0], [3.1 - r, 1.0, 1.0]])
     velocity = jnp.array([[speed, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    return assemble(box, position, velocity, jnp.asarray(species, jnp.int32), [plan_grid(2, box.lengths, 1.0, 0.1)])
+    return assemble(box, position, velocity, jnp.asarray(species, jnp.int32), (plan_grid(2, box.lengths, 1.0, 0.1),))
 
 
 def force_on_first(fluid, state):

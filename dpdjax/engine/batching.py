@@ -4,6 +4,11 @@ import jax
 import jax.numpy as jnp
 
 
+def on_cpu() -> bool:
+    """Whether programs are made for a CPU, where another way of doing the same may be the fast one."""
+    return jax.default_backend() == "cpu"
+
+
 @jax.custom_batching.custom_vmap
 def any_in_batch(predicate):
     """``predicate`` itself; under ``vmap`` (nested too) whether any member's holds."""
@@ -41,8 +46,7 @@ def where_needed(work):
 
     @jax.custom_batching.custom_vmap
     def several(needed, old, inputs):
-        ways = {"cpu": one_by_one(work), "default": all_at_once(work)}
-        return jax.lax.platform_dependent(needed, old, inputs, **ways)
+        return (one_by_one if on_cpu() else all_at_once)(work)(needed, old, inputs)
 
     @several.def_vmap
     def _(axis_size, in_batched, needed, old, inputs):

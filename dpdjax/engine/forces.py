@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from dpdjax.engine import box as boxes
 from dpdjax.engine import noise
+from dpdjax.engine.batching import on_cpu
 from dpdjax.engine.state import Tally
 from dpdjax.model.fluid import Fluid, Interaction
 
@@ -158,10 +159,6 @@ def net_zero(n: int, dtype):
     z = jnp.zeros(n, dtype)
     parts = (jax.lax.complex(z, z), z) if on_cpu() else (z, z, z)
     return parts, parts
-
-
-def on_cpu() -> bool:
-    return jax.default_backend() == "cpu"
 
 
 def net_add(net, pairs: Pairs, along):

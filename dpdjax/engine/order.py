@@ -23,6 +23,11 @@ def is_kept(state: State) -> bool:
     return state.n >= SMALLEST and all(n.grid.cells is not None for n in state.neighbours)
 
 
+def list_ids(state: State):
+    """What keys the pairs of the lists: the ids (n,), or None where the slots do because nothing is sorted."""
+    return state.id if is_kept(state) else None
+
+
 def in_cell_order(state: State) -> State:
     """The same beads, sorted by the cells of the first list; small boxes are left alone."""
     if not is_kept(state):
@@ -50,4 +55,3 @@ def _renumbered(neighbours, order, slot):
     old = neighbours.list
     new = dataclasses.replace(old, idx=slot[old.idx], reference_position=old.reference_position[order])
     return dataclasses.replace(neighbours, list=new)
-

@@ -119,7 +119,7 @@ def simulate(
             "use jax.vmap, or dpd.run with a vector of keys"
         )
     trajectory = advance(fluid, state, prng_key(key), dt, plan, flow, observe, lam, remat)
-    return bits.poison(trajectory, trajectory.final.status)
+    return bits.poison(trajectory, trajectory.final.status, (fluid, state, dt, flow))
 
 
 def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) -> Trajectory:
@@ -142,8 +142,9 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
             state = order.in_cell_order(state)
         state, sums = run_interval(state, one, plan.every, how, fluid, each, seen)
         values = {"step": state.step, "time": state.time}
+        view = seen(state)
         for r, s in zip(how, sums):
-            values |= r.value(fluid, seen(state), s, dt, plan.every)
+            values |= r.value(fluid, view, s, dt, plan.every)
         broken = ~jnp.all(jnp.isfinite(state.velocity))
         return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
 
@@ -161,16 +162,19 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
 
     Recorders get ``seen(state)``: the beads in the caller's order.
     """
-    zeros = [r.zero(fluid, state) for r in how]
+    def add(sums, state):
+        view = seen(state)
+        return [r.add(s, fluid, view) for r, s in zip(how, sums)]
 
     def body(carry, _):
         state, sums = carry
         state = one(state, each)
-        return (state, [r.add(s, fluid, seen(state)) for r, s in zip(how, sums)]), None
+        return (state, add(sums, state)), None
 
+    zeros = [r.zero(fluid, state) for r in how]
     (state, sums), _ = jax.lax.scan(body, (state, zeros), length=every - 1)
     state = one(state, True)
-    return state, [r.add(s, fluid, seen(state)) for r, s in zip(how, sums)]
+    return state, add(sums, state)
 
 
 def list_trouble(fluid, state):

@@ -148,21 +148,17 @@ def initial_state(
     if skin is None:
         skin = suggest_skin(fluid, suggest_dt(fluid, total / float(np.prod(box.lengths))) if dt is None else dt)
     not_negative(skin, "skin")
-    grids = [
+    grids = tuple(
         lists.plan_grid(total, np.asarray(box.lengths), interaction.reach, _number(skin), sheared)
         for interaction in jax.tree.map(_concrete, fluid.interactions)
-    ]
+    )
     return assemble(box, position, velocity, species, grids)
 
 
-def assemble(box: boxes.Box, position, velocity, species, grids) -> State:
-    """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,)."""
-    return _assembled(box, position, velocity, species, tuple(grids))
-
-
+# One program: operation by operation, a first list takes seconds to compile.
 @functools.partial(jax.jit, static_argnames="grids")
-def _assembled(box, position, velocity, species, grids):
-    # One program: operation by operation, a first list takes seconds to compile.
+def assemble(box: boxes.Box, position, velocity, species, grids: tuple[lists.Grid, ...]) -> State:
+    """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,)."""
     n = position.shape[0]
     position, _ = boxes.wrap(box, position)
     integers = jnp.zeros((), jnp.int32)

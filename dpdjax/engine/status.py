@@ -31,15 +31,14 @@ def describe(status) -> str:
     return "; ".join(text for bit, text in MEANINGS.items() if bits & bit)
 
 
-def poison(tree, status):
-    """NaN in every float, value and gradient alike, unless the status is clear.
+def poison(tree, status, inputs):
+    """NaN in every float of ``tree``, and in every derivative with respect to ``inputs``, unless the status is clear."""
+    harm = jnp.where(status == 0, 0.0, jnp.nan)
+    # Zero, with a derivative of one for each input: the harm reaches even those that the tree does not depend on.
+    zero = lambda x: jnp.sum(jnp.where(jnp.isfinite(x), x - jax.lax.stop_gradient(x), 0.0))
+    link = sum(zero(x) for x in jax.tree.leaves(inputs) if _is_floating(x))
+    return jax.tree.map(lambda leaf: leaf + (harm * link).astype(leaf.dtype) if _is_floating(leaf) else leaf, tree)
 
-    A product, not a ``where``: the branch not taken would pass a gradient of zero.
-    """
-    factor = jnp.where(status == 0, 1.0, jnp.nan)
 
-    def spoil(leaf):
-        floating = jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
-        return leaf * factor.astype(leaf.dtype) if floating else leaf
-
-    return jax.tree.map(spoil, tree)
+def _is_floating(leaf) -> bool:
+    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)

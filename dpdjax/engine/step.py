@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
+from dpdjax.engine import order
 from dpdjax.engine.batching import any_in_batch
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.state import State
@@ -34,8 +35,9 @@ def started(fluid, state: State, key, dt, flow) -> State:
 
 
 def update_lists(state: State) -> State:
+    ids = order.list_ids(state)
     with jax.named_scope("neighbours"):
-        neighbours = tuple(lists.update(n, state.box, state.position, state.id) for n in state.neighbours)
+        neighbours = tuple(lists.update(n, state.box, state.position, ids) for n in state.neighbours)
     return dataclasses.replace(state, neighbours=neighbours)
 
 

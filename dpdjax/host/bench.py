@@ -42,13 +42,13 @@ def bench(
     ``compile_seconds``, ``peak_memory_bytes`` (of the device; of the process on a CPU),
     ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too.
     """
-    steps = _even(min(200, LONGEST / (beads * batch))) if steps is None else _even(steps)
+    steps = _even(max(10, min(200, LONGEST / (beads * batch))) if steps is None else steps)
     state, keys = _settled(fluid, key, beads, density, batch, skin, dt)
     plain = _Program(_plain(dt, steps), fluid, state, keys)
     seconds = plain.seconds(repeats)
     result = {
         "particle_steps_per_second": beads * batch * steps / seconds,
-        "rebuild_seconds": _rebuild_seconds(state, repeats),
+        "rebuild_seconds": _rebuild_seconds(state, keys, repeats),
         "steps_per_rebuild": _steps_per_rebuild(fluid, state, keys, dt, max(20, steps)),
         "compile_seconds": plain.compile_seconds,
         "peak_memory_bytes": peak_memory(),
@@ -101,12 +101,12 @@ def _settled(fluid, key, beads, density, batch, skin, dt) -> tuple[State, jax.Ar
     state = start(keys) if batch == 1 else jax.vmap(start)(keys)
     coarse = max(float(dt), suggest_dt(fluid, density))
     steps = min(SETTLE, LARGEST_SETTLE / (beads * batch))
-    return run(fluid, state, keys, coarse, Plan(_even(steps / 5), 5), progress=False).final.restarted(), keys
+    return run(fluid, state, keys, coarse, Plan(max(2, int(steps / 5)), 5), progress=False).final.restarted(), keys
 
 
 def _even(steps) -> int:
-    """The nearest even number of at least 10."""
-    return max(10, 2 * round(steps / 2))
+    """The nearest even number of at least 2."""
+    return max(2, 2 * round(steps / 2))
 
 
 def _boxes(function, keys):
@@ -132,12 +132,11 @@ def _tangent(dt, steps):
     return program
 
 
-def _rebuild_seconds(state, repeats) -> float:
-    build = lambda state: lists.allocate(state.neighbours[0].grid, state.box, state.position, state.id).list.idx
-    each = (lambda function: function) if state.position.ndim == 2 else jax.vmap
-    state, build = jax.jit(each(order.in_cell_order))(state), jax.jit(each(build))
-    durations = [_duration(build, state) for _ in range(repeats + 1)]
-    return statistics.median(durations[1:])
+def _rebuild_seconds(state, keys, repeats) -> float:
+    grid = state.neighbours[0].grid
+    build = lambda state, _: lists.allocate(grid, state.box, state.position, order.list_ids(state)).list.idx
+    sort = jax.jit(_boxes(lambda state, _: order.in_cell_order(state), keys))
+    return _Program(_boxes(build, keys), sort(state, keys), keys).seconds(repeats)
 
 
 def _steps_per_rebuild(fluid, state, keys, dt, steps) -> float:
