@@ -1,4 +1,4 @@
-"""Branches that stay branches under ``vmap``: work is done for the members that need it."""
+"""Parts of a program that XLA is to keep apart: stages, and branches that stay branches under ``vmap``."""
 
 import jax
 import jax.numpy as jnp
@@ -7,6 +7,20 @@ import jax.numpy as jnp
 def on_cpu() -> bool:
     """Whether programs are made for a CPU, where another way of doing the same may be the fast one."""
     return jax.default_backend() == "cpu"
+
+
+def apart(function, inputs, number):
+    """``function(*inputs)`` as a part of the program across whose edges XLA fuses nothing.
+
+    XLA on a CPU computes a value that is cheap to compute again at every one of its uses, however
+    many; a barrier does not keep it from it, a branch does. ``number`` is any that XLA cannot know; the
+    part is skipped, its outputs zero, where that is not finite. Elsewhere the function is just called.
+    """
+    if not on_cpu():
+        return function(*inputs)
+    shapes = jax.eval_shape(function, *inputs)
+    empty = lambda *_: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    return jax.lax.cond(jnp.isfinite(number), function, empty, *inputs)
 
 
 @jax.custom_batching.custom_vmap

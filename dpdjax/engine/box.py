@@ -77,11 +77,18 @@ def wrap(box: Box, position):
 
 def fractional(box: Box, position):
     """Coordinates in [0, 1) along the lattice vectors, shape (n, 3)."""
+    return in_lattice(box, position)[0]
+
+
+def in_lattice(box: Box, position):
+    """Coordinates in [0, 1) along the lattice vectors, and the image that has them, (n, 3) each."""
     lx, ly, lz = box.lengths
-    s_y = position[:, 1] / ly
-    s_x = (position[:, 0] - box.strain * position[:, 1]) / lx
-    s = jnp.stack([s_x, s_y, position[:, 2] / lz], axis=1)
-    return s - jnp.floor(s)
+    x, y, z = position[:, 0], position[:, 1], position[:, 2]
+    s = jnp.stack([(x - box.strain * y) / lx, y / ly, z / lz], axis=1)
+    turns = jnp.floor(s)
+    columns, rows, layers = turns[:, 0], turns[:, 1], turns[:, 2]
+    image = jnp.stack([x - rows * (box.strain * ly) - columns * lx, y - rows * ly, z - layers * lz], axis=1)
+    return s - turns, image
 
 
 def matrix(box: Box):

@@ -2,9 +2,10 @@
 
 Beads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
 contiguous ranges: what follows in its own row, and one range of each of four rows further up.
-A window of slots is tested per range; the verdicts are packed into 32-bit words, and each
-slot of the list finds its word from prefix sums of the popcounts and its bit inside the word by
-binary search. Nothing large is scattered, and the shapes are static.
+Each row is stored between periodic images of its own ends, so a range is a stretch of memory: a
+window of it is read at once and tested, and the verdicts are packed into 32-bit words. Each slot
+of the list finds its word from prefix sums of the popcounts and its bit inside the word by binary
+search. Nothing large is scattered, and the shapes are static.
 
 The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format, under its
 ``allocate``/``update`` protocol with the box passed at every update.
@@ -13,18 +14,18 @@ The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format,
 import dataclasses
 import functools
 import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import box as boxes
-from dpdjax.engine.batching import where_needed
+from dpdjax.engine.batching import apart, where_needed
 
 # Rows of the half stencil as (dy, dz); the first is the bead's own row.
 ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]])
 BYTE, WORD = 8, 32
-once = jax.lax.optimization_barrier
 FINENESS = 4
 """Cells along x per cut: finer cells fit the ranges closer to what is within the cut."""
 
@@ -56,7 +57,7 @@ class Grid:
         return dataclasses.replace(
             self,
             capacity=_round_up(int(1.5 * self.capacity), 256) if pairs else self.capacity,
-            window=_round_up(int(1.5 * self.window), BYTE) if windows else self.window,
+            window=_whole_words(int(1.5 * self.window)) if windows else self.window,
         )
 
 
@@ -86,8 +87,14 @@ def plan_grid(n: int, lengths, reach: float, skin: float, sheared: bool = True) 
     cells[0] *= FINENESS
     span = math.ceil(cells[0] * cut / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
     per_range = (2 * span + 1) * n / cells.prod()
-    window = _round_up(int(per_range + 4 * math.sqrt(per_range)), BYTE)
+    window = _whole_words(int(per_range + 4 * math.sqrt(per_range)))
     return Grid(reach, skin, tuple(int(c) for c in cells), span, window, capacity, sheared)
+
+
+def _whole_words(slots: int) -> int:
+    """A window of at least ``slots``: words of equal width, in whole bytes."""
+    words = -(-slots // WORD)
+    return words * _round_up(-(-slots // words), BYTE)
 
 
 def _round_up(value: int, unit: int) -> int:
@@ -216,52 +223,36 @@ def _all_pairs(grid, box, position):
     i, j = np.triu_indices(n, 1)
     d = boxes.displacement(box, position[i], position[j])
     near = jnp.sum(d * d, axis=1) < (grid.reach + grid.skin) ** 2
-    word, bit, filled, total = _set_bits(_pack(jnp.pad(near, (0, -near.size % WORD))), grid.capacity)
+    words = _packed(jnp.pad(near, (0, -near.size % WORD)).reshape(-1, WORD))
+    word, bit, filled, total = _set_bits(grid, words)
     pair = jnp.minimum(word * WORD + bit, i.size - 1)
     idx = jnp.where(filled, jnp.stack([jnp.asarray(i)[pair], jnp.asarray(j)[pair]]), n)
     return idx.astype(jnp.int32), (total > grid.capacity, jnp.asarray(False))
 
 
 def _cell_pairs(grid, box, position, ids):
-    n, cells = position.shape[0], math.prod(grid.cells)
-    cell, flat = _cells(grid, box, position)
-    order = _sorted(flat, cells, ids)
-    # Barriers between the stages: XLA would fuse them, and compute each stage again for every use.
-    start, length, row_end, row_size = once(_ranges(grid, cell[order], _first(flat, cells)))
-
-    x, y, z = once(tuple(position[order, k] for k in range(3)))
-    offset = jnp.arange(grid.window, dtype=jnp.int32)[None, None]
-    slot = start[..., None] + offset
-    slot = jnp.where(slot >= row_end[..., None], slot - row_size[..., None], slot)
-    here = (slice(None), None, None)
-    dx, dy, dz = boxes.minimum_image(box, x[slot] - x[here], y[slot] - y[here], z[slot] - z[here])
-    near = dx * dx + dy * dy + dz * dz < (grid.reach + grid.skin) ** 2
-    near &= offset < length[..., None]
-
-    word, bit, filled, total = once(_set_bits(once(_pack(once(near))), grid.capacity))
-    test = word * WORD + bit
-    entry, turn = jnp.minimum(test // grid.window, n * len(ROWS) - 1), test % grid.window
-    partner = start.ravel()[entry] + turn
-    partner = jnp.where(partner >= row_end.ravel()[entry], partner - row_size.ravel()[entry], partner)
-    name = order if ids is None else ids[order]
-    a, b = name[entry // len(ROWS)], name[jnp.clip(partner, 0, n - 1)]
-    idx = jnp.where(filled, jnp.stack([jnp.minimum(a, b), jnp.maximum(a, b)]), n)
-    if ids is not None:
-        idx = jnp.append(inverse(ids), n)[once(idx)]
-    return idx, (total > grid.capacity, jnp.any(length > grid.window))
+    part = lambda function, *inputs: apart(functools.partial(function, grid), inputs, position[0, 0])
+    windows, overflow = part(_windows, box, position, ids)
+    words = part(_near, windows)
+    word, bit, filled, total = part(_set_bits, words)
+    bead, slot = part(_bead_and_slot, windows.start, word, bit)
+    a, b, swap = part(_ends, windows, bead, slot)
+    idx = jnp.stack([jnp.where(filled, end, position.shape[0]) for end in (jnp.where(swap, b, a), jnp.where(swap, a, b))])
+    return idx, (total > grid.capacity, overflow)
 
 
 def cell_order(grid: Grid, box: boxes.Box, position, ids):
     """The slots (n,) of the beads sorted by cell, by id within one."""
-    return _sorted(_cells(grid, box, position)[1], math.prod(grid.cells), ids)
+    return _sorted(_cells(grid, box, position)[0], math.prod(grid.cells), ids)
 
 
 def _cells(grid, box, position):
-    """The cell of each bead as (x, y, z), and as one number, x fastest."""
-    cells = np.array(grid.cells)[None]
-    cell = jnp.minimum((boxes.fractional(box, position) * cells).astype(jnp.int32), cells - 1)
-    nx, ny, _ = grid.cells
-    return cell, (cell[:, 2] * ny + cell[:, 1]) * nx + cell[:, 0]
+    """The number of each bead's cell, x fastest, and its image in the tilted box (n, 3)."""
+    nx, ny, nz = grid.cells
+    fractional, position = boxes.in_lattice(box, position)
+    cell = (fractional * np.array(grid.cells)[None]).astype(jnp.int32)
+    x, y, z = (jnp.minimum(cell[:, k], grid.cells[k] - 1) for k in range(3))
+    return (z * ny + y) * nx + x, position
 
 
 def _sorted(flat, cells: int, ids=None):
@@ -287,56 +278,145 @@ def inverse(order):
     return jnp.zeros_like(count).at[order].set(count, unique_indices=True)
 
 
-def _first(flat, cells: int):
-    """The first slot of each cell, and the number of beads at the end."""
-    counts = jnp.zeros(cells, jnp.int32).at[flat].add(1)
-    return jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(counts)])
+class Rows(NamedTuple):
+    """Sorted beads in slots, row after row of cells, each row between images of its own ends.
+
+    A range of cells is then a range of slots, at the ends of the rows too.
+
+    Attributes:
+        first: first slot of each cell, images included, and the end of all.
+        home: slot of each bead itself (n,).
+        bead, turn: the bead in each slot, and the sides along x by which it is an image (-1, 0, 1).
+        overflow: whether there are more images than room for them.
+    """
+
+    first: Any
+    home: Any
+    bead: Any
+    turn: Any
+    overflow: Any
 
 
-def _ranges(grid, cell, first):
-    """Start and length of each bead's five ranges of slots, and the end and size of their rows; (n, 5) each.
+def _rows(grid, cell) -> Rows:
+    n, (nx, ny, nz), span = cell.shape[0], grid.cells, grid.span
+    counts = jnp.zeros(nx * ny * nz, jnp.int32).at[cell].add(1, indices_are_sorted=True)
+    before = (jnp.cumsum(counts) - counts).reshape(-1, nx)
+    counts = counts.reshape(-1, nx)
+    counts = jnp.concatenate([counts[:, nx - span :], counts, counts[:, :span]], axis=1)
+    first = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(counts.ravel())])
+    # Each row has three runs of consecutive beads: images, the row itself, images.
+    begin = first[:-1].reshape(counts.shape)[:, np.array([0, span, span + nx])]
+    ahead = before[:, np.array([nx - span, 0, 0])] - begin
+    images = min(n, math.ceil(ny * nz * grid.window * 2 * span / (2 * span + 1)))
+    # The last window too ends inside.
+    slots = jnp.arange(n + images + grid.window, dtype=jnp.int32)
+    run = jnp.cumsum(jnp.zeros_like(slots).at[begin.ravel()].add(1, mode="drop", indices_are_sorted=True)) - 1
+    bead = jnp.clip(slots + ahead.ravel()[run], 0, n - 1)
+    home = jnp.arange(n, dtype=jnp.int32) - ahead[:, 1][cell // nx]
+    return Rows(first, home, bead, run % 3 - 1, first[-1] > n + images)
+
+
+class Windows(NamedTuple):
+    """The five ranges of slots in which a sorted bead finds its partners.
+
+    Attributes:
+        start, length: of each range (n, 5).
+        origin: where the bead is as seen from the range, by component (n, 5).
+        places: position in each slot, by component.
+        here, there: slot in memory of each sorted bead, and of the bead in each slot; with ids, their ids too.
+    """
+
+    start: Any
+    length: Any
+    origin: tuple
+    places: tuple
+    here: tuple
+    there: tuple
+
+
+def _windows(grid, box, position, ids):
+    """The windows, and whether a range is longer than one or there are too many images."""
+    cell, position = _cells(grid, box, position)
+    order = _sorted(cell, math.prod(grid.cells), ids)
+    cell, bead = cell[order], tuple(position[order, k] for k in range(3))
+    rows = _rows(grid, cell)
+    start, length, origin = _ranges(grid, box, cell, bead, rows)
+    x, y, z = (c[rows.bead] for c in bead)
+    here = (order,) if ids is None else (order, ids[order])
+    there = tuple(name[rows.bead] for name in here)
+    windows = Windows(start, length, origin, (x + rows.turn * box.lengths[0], y, z), here, there)
+    return windows, rows.overflow | jnp.any(length > grid.window)
+
+
+def _ranges(grid, box, cell, bead, rows: Rows):
+    """The five ranges of slots of each bead: first slot, length, and where the bead is as seen from there; (n, 5) each.
 
     Four ranges span the cells x - span to x + span of a row above; the first, in the bead's own
-    row, runs from the next slot to the end of x + span. ``first`` is the first slot of each cell.
+    row, runs from the next slot to the end of x + span.
     """
     nx, ny, nz = grid.cells
-    y = (cell[:, 1, None] + ROWS[None, :, 0]) % ny
-    z = (cell[:, 2, None] + ROWS[None, :, 1]) % nz
-    row = (z * ny + y) * nx
-    row_start, row_end = first[row], first[row + nx]
-    size = row_end - row_start
-
-    def edge(x):
-        """First slot of cell x of the row, the row repeated periodically."""
-        turns = x // nx
-        return first[row + x - turns * nx] + turns * size
-
-    x = cell[:, 0, None]
-    after = jnp.arange(1, cell.shape[0] + 1, dtype=jnp.int32)[:, None]
-    start = jnp.where(np.arange(len(ROWS))[None] == 0, after, edge(x - grid.span))
-    length = edge(x + grid.span + 1) - start
-    # A range that begins before its row comes in from the other end.
-    return start + jnp.where(start < row_start, size, 0), length, row_end, size
+    x, row = cell % nx, cell // nx
+    y, z = (row % ny)[:, None] + ROWS[None, :, 0], (row // ny)[:, None] + ROWS[None, :, 1]
+    turn_y, turn_z = y // ny, z // nz
+    at = ((z - turn_z * nz) * ny + y - turn_y * ny) * (nx + 2 * grid.span) + x[:, None]
+    own = np.arange(len(ROWS))[None] == 0
+    start = jnp.where(own, rows.home[:, None] + 1, rows.first[at])
+    length = rows.first[at + 2 * grid.span + 1] - start
+    lx, ly, lz = box.lengths
+    rx, ry, rz = (c[:, None] for c in bead)
+    return start, length, (rx - turn_y * (box.strain * ly), ry - turn_y * ly, rz - turn_z * lz)
 
 
-def _pack(bits):
-    """Booleans, the last axis in whole bytes, as words of 32 bits."""
-    bits = bits.reshape(*bits.shape[:-1], -1, BYTE).astype(jnp.uint8)
-    shift = jnp.arange(BYTE, dtype=jnp.uint8).reshape(*[1] * (bits.ndim - 1), BYTE)
-    octets = jnp.sum(bits << shift, axis=-1, dtype=jnp.uint8).ravel()
-    octets = jnp.pad(octets, (0, -octets.size % 4)).reshape(-1, 4).astype(jnp.uint32)
-    return octets[:, 0] | octets[:, 1] << 8 | octets[:, 2] << 16 | octets[:, 3] << 24
+def _near(grid, windows: Windows):
+    """Which beads of each window are within reach and skin, packed into words."""
+    width = _width(grid)
+    begin = np.arange(0, grid.window, width, dtype=np.int32)[None, None]
+    offset = begin[..., None] + np.arange(width, dtype=np.int32)[None, None, None]
+    # Consecutive slots are read at once; as an index for each they would take eight times as long.
+    numbers = jax.lax.GatherDimensionNumbers(offset_dims=(3,), collapsed_slice_dims=(), start_index_map=(0,))
+    first = (windows.start[..., None] + begin)[..., None]
+    part = lambda c: jax.lax.gather(c, first, numbers, (width,), mode="promise_in_bounds")
+    dx, dy, dz = (part(c) - o[..., None, None] for c, o in zip(windows.places, windows.origin))
+    near = dx * dx + dy * dy + dz * dz < (grid.reach + grid.skin) ** 2
+    return _packed(near & (offset < windows.length[..., None, None])).ravel()
 
 
-def _set_bits(words, capacity):
+def _width(grid) -> int:
+    """Bits used of a word: the widest that divides the window."""
+    return next(width for width in range(WORD, 0, -BYTE) if grid.window % width == 0)
+
+
+def _bead_and_slot(grid, start, word, bit):
+    """The sorted bead, and the slot of its partner, that a bit of a word stands for."""
+    width = _width(grid)
+    parts = grid.window // width
+    entry = jnp.minimum(word // parts, start.size - 1)
+    return entry // len(ROWS), start.ravel()[entry] + word % parts * width + bit
+
+
+def _ends(grid, windows: Windows, bead, slot):
+    """Both beads of each pair as slots in memory, and whether they are to change places."""
+    del grid
+    a, b = windows.here[0][bead], windows.there[0][slot]
+    # By id where there is one: it is the same wherever the beads are stored.
+    return a, b, windows.here[-1][bead] > windows.there[-1][slot]
+
+
+def _packed(bits):
+    """Booleans, at most 32 on the last axis, as words."""
+    shift = np.arange(bits.shape[-1], dtype=np.uint32).reshape([1] * (bits.ndim - 1) + [-1])
+    return jnp.sum(bits.astype(jnp.uint32) << shift, axis=-1, dtype=jnp.uint32)
+
+
+def _set_bits(grid, words):
     """Word and bit of each of the first ``capacity`` set bits, whether there is one, and how many in all."""
     counts = jax.lax.population_count(words).astype(jnp.int32)
     ends = jnp.cumsum(counts)
     begins = ends - counts
     # A mark where each word begins in the output; as many marks as words have begun so far.
-    marks = jnp.zeros(capacity, jnp.int32).at[begins].add(1, mode="drop")
+    marks = jnp.zeros(grid.capacity, jnp.int32).at[begins].add(1, mode="drop")
     word = jnp.cumsum(marks) - 1
-    slot = jnp.arange(capacity, dtype=jnp.int32)
+    slot = jnp.arange(grid.capacity, dtype=jnp.int32)
     return word, _select_bit(words[word], slot - begins[word]), slot < ends[-1], ends[-1]
 
 
