@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dpdjax.engine.batching import all_at_once, one_by_one, where_needed
+from dpdjax.engine import batching
+from dpdjax.engine.batching import all_at_once, each_member, one_by_one, where_needed
 
 NEEDED = jnp.array([[True, False, True], [False, False, True]])
 OLD = {"x": jnp.arange(6.0).reshape(2, 3), "k": jnp.arange(24).reshape(2, 3, 4)}
@@ -54,3 +55,15 @@ def test_work_is_done_only_where_needed():
     jax.block_until_ready(jax.jit(jax.vmap(where_needed(noted)))(NEEDED[0], old, STEP))
     jax.effects_barrier()
     assert sorted(seen) == [10.0, 30.0]
+
+
+@pytest.mark.parametrize("cpu", [True, False], ids=["cpu", "accelerator"])
+def test_each_member_is_vmap(cpu, monkeypatch):
+    monkeypatch.setattr(batching, "on_cpu", lambda: cpu)
+    function = lambda tree, shift, key: {"x": tree["x"] * tree["c"] + shift, "u": jax.random.uniform(key)}
+    axes = ({"x": 0, "c": None}, None, 0)
+    arguments = {"x": jnp.arange(6.0).reshape(3, 2), "c": 2.0}, jnp.arange(2.0), jax.random.split(jax.random.key(0), 3)
+    expected = jax.vmap(function, axes)(*arguments)
+    jax.tree.map(np.testing.assert_array_equal, jax.jit(each_member(function, axes))(*arguments), expected)
+    everywhere = each_member(lambda x, y: x - y)(jnp.arange(3.0), jnp.ones(3))
+    np.testing.assert_array_equal(everywhere, [-1.0, 0.0, 1.0])

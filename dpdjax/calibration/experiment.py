@@ -11,6 +11,7 @@ import numpy as np
 
 from dpdjax.calibration.goal import Goal
 from dpdjax.engine import status as bits
+from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed
 from dpdjax.engine.flow import quiet
 from dpdjax.engine.observables import standard
@@ -244,7 +245,7 @@ def _tangent(fluid, state, keys, dt, flow, name, plan, observe):
         _, slopes, final = jax.jvp(lambda x: values(x, state, key), (here,), (jnp.ones_like(here),), has_aux=True)
         return slopes, final
 
-    return jax.vmap(one)(state, keys)
+    return each_member(one)(state, keys)
 
 
 def plateau(tangents) -> Estimate:

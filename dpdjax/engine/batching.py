@@ -23,6 +23,36 @@ def apart(function, inputs, number):
     return jax.lax.cond(jnp.isfinite(number), function, empty, *inputs)
 
 
+def each_member(function, axes=0):
+    """``jax.vmap(function, axes)``; on a CPU the members run one after another, for its caches hold one box but not many.
+
+    ``axes`` as for ``jax.vmap``: a prefix of the arguments, of 0 and None.
+    """
+    if not on_cpu():
+        return jax.vmap(function, axes)
+
+    def apply(*arguments):
+        batched = [axis == 0 for axis in _axis_of_each_leaf(axes, arguments)]
+        leaves, tree = jax.tree.flatten(arguments)
+
+        def one(members):
+            members = iter(members)
+            return function(*jax.tree.unflatten(tree, [next(members) if b else x for b, x in zip(batched, leaves)]))
+
+        return jax.lax.map(one, [x for b, x in zip(batched, leaves) if b])
+
+    return apply
+
+
+def _axis_of_each_leaf(axes, arguments):
+    """A prefix of axes written out: 0 or None for every leaf of the arguments."""
+    prefix = (axes,) * len(arguments) if isinstance(axes, int) else axes
+    found = []
+    write_out = lambda axis, part: found.extend([axis] * len(jax.tree.leaves(part)))
+    jax.tree.map(write_out, prefix, arguments, is_leaf=lambda axis: axis is None)
+    return found
+
+
 @jax.custom_batching.custom_vmap
 def any_in_batch(predicate):
     """``predicate`` itself; under ``vmap`` (nested too) whether any member's holds."""

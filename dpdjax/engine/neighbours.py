@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import box as boxes
-from dpdjax.engine.batching import apart, where_needed
+from dpdjax.engine.batching import apart, on_cpu, where_needed
 
 # Rows of the half stencil as (dy, dz); the first is the bead's own row.
 ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]])
@@ -255,21 +255,33 @@ def _cells(grid, box, position):
     return (z * ny + y) * nx + x, position
 
 
-def _sorted(flat, cells: int, ids=None):
-    """The slots (n,) sorted by cell, and by id within one.
+def _sorted(cell, cells: int, ids=None):
+    """The slots (n,) sorted by cell, and by id (by slot without ids) within one."""
+    ids = jnp.arange(cell.shape[0], dtype=jnp.int32) if ids is None else ids
+    if not on_cpu():
+        return jnp.lexsort((ids, cell))
+    counts = jnp.zeros(cells, jnp.int32).at[cell].add(1)
+    return inverse((jnp.cumsum(counts) - counts)[cell] + _rank(cell, cells, ids))
 
-    A radix sort whose digits are what fits beside a bead's number in 32 bits: one or two sorts of
-    plain integers, each four times faster than a sort of keys with their values.
+
+def _rank(cell, cells: int, ids):
+    """How many beads of the same cell have a lower id (n,).
+
+    Each turn takes the lowest of every cell: as many turns as the fullest cell has beads, and still
+    a third of the time of a sort.
     """
-    n = flat.shape[0]
-    number, key = jnp.arange(n, dtype=jnp.uint32), flat.astype(jnp.uint32)
-    width = max(1, (n - 1).bit_length())
-    order = None if ids is None else inverse(ids)
-    for shift in range(0, max(1, (cells - 1).bit_length()), 32 - width):
-        digit = (key if order is None else key[order]) >> shift
-        turn = (jnp.sort((digit << width) | number) & jnp.uint32((1 << width) - 1)).astype(jnp.int32)
-        order = turn if order is None else order[turn]
-    return order
+    n = cell.shape[0]
+
+    def turn(carry):
+        turns, left, rank = carry
+        lowest = jnp.full(cells, n, jnp.int32).at[cell].min(left)
+        taken = lowest[cell] == left
+        # Those taken are left as n, which is lower than none.
+        taken &= left < n
+        return turns + 1, jnp.where(taken, n, left), jnp.where(taken, turns, rank)
+
+    zero = jnp.zeros((), jnp.int32)
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < n), turn, (zero, ids, jnp.zeros_like(ids)))[2]
 
 
 def inverse(order):

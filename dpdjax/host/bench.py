@@ -11,6 +11,7 @@ import numpy as np
 
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
+from dpdjax.engine.batching import each_member
 from dpdjax.engine.simulate import Plan, simulate
 from dpdjax.engine.state import State, initial_state, suggest_dt
 from dpdjax.host.run import run
@@ -24,7 +25,7 @@ LARGEST_SETTLE, LONGEST = 100_000_000, 5_000_000
 def bench(
     fluid, key, *, beads: int, dt, density=3.0, batch: int = 1, skin=None, steps=None, repeats: int = 5, tangent=False
 ) -> dict:
-    """Measure the speed of plain runs of a cubic box, or of ``batch`` of them under ``vmap``.
+    """Measure the speed of plain runs of a cubic box, or of a batch as ``dpd.run`` would run it.
 
     Args:
         fluid: what runs; its ``gamma`` is what a tangent is taken of.
@@ -111,7 +112,7 @@ def _even(steps) -> int:
 
 def _boxes(function, keys):
     """``function(state, key)`` for one box or for each of a batch."""
-    return function if not keys.ndim else jax.vmap(function)
+    return function if not keys.ndim else each_member(function)
 
 
 def _plain(dt, steps):
