@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import neighbours as lists
+from dpdjax.engine import cells as by_cell
 from dpdjax.engine import order
 
 FLOW, PLAN = dpd.shear(1.0), dpd.Plan(3, 5)
@@ -76,7 +76,7 @@ def test_beads_of_a_cell_lie_together(monkeypatch, sheared_water):
     monkeypatch.setattr(order, "SMALLEST", 0)
     state = order.in_cell_order(sheared_water)
     grid = state.neighbours[0].grid
-    cell = lists._cells(grid, state.box, state.position)[0]
+    cell = by_cell._cells(grid, state.box, state.position)[0]
     assert jnp.all(jnp.diff(cell) >= 0)
     assert jnp.all((jnp.diff(cell) > 0) | (jnp.diff(state.id) > 0))
     assert jnp.array_equal(state.position, sheared_water.position[state.id])
@@ -85,13 +85,13 @@ def test_beads_of_a_cell_lie_together(monkeypatch, sheared_water):
 @pytest.mark.parametrize("cpu", [True, False], ids=["cpu", "accelerator"])
 @pytest.mark.parametrize("n, cells", [(300, 5), (1, 1), (70_000, 300_000)], ids=str)
 def test_the_sort_by_cell_and_id(n, cells, cpu, monkeypatch):
-    monkeypatch.setattr(lists, "on_cpu", lambda: cpu)
+    monkeypatch.setattr(by_cell, "on_cpu", lambda: cpu)
     rng = np.random.default_rng(0)
     cell, ids = rng.integers(0, cells, n), rng.permutation(n)
     expected = np.lexsort((ids, cell))
-    got = lists._sorted(jnp.asarray(cell, jnp.int32), cells, jnp.asarray(ids, jnp.int32))
+    got = by_cell._sorted(jnp.asarray(cell, jnp.int32), cells, jnp.asarray(ids, jnp.int32))
     assert np.array_equal(got, expected)
-    assert np.array_equal(lists._sorted(jnp.asarray(cell, jnp.int32), cells), np.argsort(cell, kind="stable"))
+    assert np.array_equal(by_cell._sorted(jnp.asarray(cell, jnp.int32), cells), np.argsort(cell, kind="stable"))
 
 
 def test_derivatives_of_a_sorted_run(monkeypatch, water, sheared_water, key):

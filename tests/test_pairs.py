@@ -9,7 +9,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
-from dpdjax.engine import forces
+from dpdjax.engine import cells, forces
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine.batching import on_cpu
 from dpdjax.engine.forces import pair_force
@@ -93,8 +93,8 @@ def test_list_equals_all_pairs(lengths, n, build):
 
 
 def test_boxes_of_the_list_test_use_cells_and_all_pairs():
-    cells = [lists.plan_grid(n, lengths, 1.0, 0.15).cells for lengths, n in BOXES]
-    assert [c is None for c in cells] == [False, False, False, False, True, True]
+    shapes = [lists.plan_grid(n, lengths, 1.0, 0.15).cells for lengths, n in BOXES]
+    assert [shape is None for shape in shapes] == [False, False, False, False, True, True]
 
 
 @pytest.mark.parametrize("lengths, n", BOXES[:1] + BOXES[4:5], ids=["cells", "all pairs"])
@@ -105,6 +105,25 @@ def test_list_too_short_raises_the_overflow_flags(lengths, n, build):
     assert overflow(grid, even) == [False, False]
     assert overflow(dataclasses.replace(grid, capacity=64), even) == [True, False]
     assert any(overflow(grid, 0.2 * even))
+
+
+@pytest.mark.parametrize("block", [74, 70, 111])
+def test_a_list_built_in_blocks_is_the_same(block, monkeypatch, build):
+    lengths, n = BOXES[0]
+    grid, box = lists.plan_grid(n, lengths, 1.0, 0.15), boxes.box(lengths)
+    position = jnp.asarray(uniform(np.random.default_rng(5), lengths, n))
+    ids = jnp.asarray(np.random.default_rng(6).permutation(n), jnp.int32)
+    whole, _ = build(grid, box, position, ids)
+    monkeypatch.setattr(cells, "BLOCK", block)
+    assert cells.blocks(n) == n // block
+    planned = lists.plan_grid(n, lengths, 1.0, 0.15)
+    in_blocks, overflow = jax.jit(cells.cell_pairs, static_argnums=0)(planned, box, position, ids)
+    pairs = int(jnp.sum(whole[0] < n))
+    assert not any(overflow)
+    assert jnp.array_equal(in_blocks[:, :pairs], whole[:, :pairs])
+    assert jnp.all(in_blocks[:, pairs:] == n)
+    tight = dataclasses.replace(planned, capacity=pairs)
+    assert cells.cell_pairs(tight, box, position, ids)[1][0], "the last block has no room"
 
 
 def test_pair_forces_sum_to_zero(water, quiet_water, sheared_water, key):
@@ -252,8 +271,9 @@ def test_list_updates_stay_a_branch_under_vmap(batches, water, quiet_water, key)
         run, keys = jax.vmap(run, (None, 0)), jax.random.split(key, 3)
     if batches > 1:
         run, gamma = jax.vmap(run, (0, None)), jnp.array([2.0, 4.5])
-    steps = [e for e in equations(jax.make_jaxpr(run)(gamma, keys).jaxpr) if e.primitive.name == "scan"]
-    work = [e for loop in steps for e in equations(loop.params["jaxpr"].jaxpr)]
+    scans = [e for e in equations(jax.make_jaxpr(run)(gamma, keys).jaxpr) if e.primitive.name == "scan"]
+    frames = next(scan for scan in scans if scan.params["length"] == 2)
+    work = list(equations(frames.params["jaxpr"].jaxpr))
     guarded = [g for g in work if guards_a_build(g)]
     assert guarded
     inside = {id(e) for g in guarded for value in g.params.values() for one in inner(value) for e in equations(one)}

@@ -9,7 +9,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine import neighbours as lists
+from dpdjax.engine import cells
 from dpdjax.engine.state import State
 
 SMALLEST = 10_000
@@ -34,18 +34,18 @@ def in_cell_order(state: State) -> State:
         return state
     grid = state.neighbours[0].grid
     position = jax.lax.stop_gradient(state.position)
-    return permuted(state, lists.cell_order(grid, state.box, position, state.id))
+    return permuted(state, cells.cell_order(grid, state.box, position, state.id))
 
 
 def in_order_of(state: State, ids) -> State:
     """The same beads, in the order in which their ids come in ``ids`` (n,)."""
-    return permuted(state, lists.inverse(state.id)[ids]) if is_kept(state) else state
+    return permuted(state, cells.inverse(state.id)[ids]) if is_kept(state) else state
 
 
 def permuted(state: State, order) -> State:
     """The beads ``order`` (n,), a permutation of the slots; lists keep their pairs and their order."""
     names = ("position", "velocity", "force", "image", "id", "species")
-    slot = jnp.append(lists.inverse(order), state.n)
+    slot = jnp.append(cells.inverse(order), state.n)
     neighbours = tuple(_renumbered(n, order, slot) for n in jax.lax.stop_gradient(state.neighbours))
     beads = {name: getattr(state, name)[order] for name in names}
     return dataclasses.replace(state, **beads, neighbours=neighbours)

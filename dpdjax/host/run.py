@@ -15,8 +15,8 @@ from dpdjax.engine.record import recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 
-CHUNK = 1_000_000
-"""Particle-steps between two looks at the status: about a second."""
+CHUNK, LEAST = 1_000_000, 25
+"""Particle-steps between two looks at the status: half a second; and steps, over which a large box is sorted once."""
 
 
 class RunError(RuntimeError):
@@ -80,11 +80,11 @@ def run(
 
 
 def chunk_frames(plan: Plan, beads: int) -> int:
-    """Frames in a chunk: about ``CHUNK`` particle-steps, a divisor of the plan where one is near.
+    """Frames in a chunk: about ``CHUNK`` particle-steps or ``LEAST`` steps, a divisor of the plan where one is near.
 
     At least two where there are two: XLA compiles a loop of one trip to other rounding.
     """
-    aim = max(2, min(plan.frames, round(CHUNK / (plan.every * beads))))
+    aim = max(2, min(plan.frames, round(max(CHUNK / beads, LEAST) / plan.every)))
     near = [d for d in range(max(2, aim // 2), min(plan.frames, 2 * aim) + 1) if plan.frames % d == 0]
     return min(near, key=lambda d: abs(d - aim)) if near else aim
 

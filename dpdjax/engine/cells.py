@@ -1,0 +1,282 @@
+"""All pairs within a distance, from sorted cells.
+
+Beads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
+contiguous ranges: what follows in its own row, and one range of each of four rows further up.
+Each row is stored between periodic images of its own ends, so a range is a stretch of memory: a
+window of it is read at once and tested, and the verdicts are packed into 32-bit words. Each slot
+of the list finds its word from prefix sums of the popcounts and its bit inside the word by binary
+search. Nothing large is scattered, and the shapes are static.
+"""
+
+import functools
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.engine import box as boxes
+from dpdjax.engine.batching import apart, on_cpu
+
+# Rows of the half stencil as (dy, dz); the first is the bead's own row.
+ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]], np.int32)
+BYTE, WORD = 8, 32
+BLOCK = 16_384
+"""Beads whose pairs a CPU finds at a time (measured: tests/benchmarks)."""
+MARGIN = 1.05
+"""Room for the pairs of a block over its share of the list."""
+
+
+def all_pairs(grid, box: boxes.Box, position):
+    """The list of :func:`cell_pairs` by trying every pair: for boxes of few cells."""
+    n = position.shape[0]
+    i, j = np.triu_indices(n, 1)
+    d = boxes.displacement(box, position[i], position[j])
+    near = jnp.sum(d * d, axis=1) < grid.cut**2
+    words = _packed(jnp.pad(near, (0, -near.size % WORD)).reshape(-1, WORD))
+    word, bit, filled, total = _set_bits(words, grid.capacity)
+    pair = jnp.minimum(word * WORD + bit, i.size - 1)
+    idx = jnp.where(filled, jnp.stack([jnp.asarray(i)[pair], jnp.asarray(j)[pair]]), n)
+    return idx.astype(jnp.int32), (total > grid.capacity, jnp.asarray(False))
+
+
+def cell_pairs(grid, box: boxes.Box, position, ids=None):
+    """All pairs within ``grid.cut``: indices (2, capacity), and (pairs, windows) overflow."""
+    n = position.shape[0]
+    size = -(-n // blocks(n))
+    room = min(grid.capacity, int(MARGIN * grid.capacity / blocks(n)))
+    part = lambda function, *inputs: apart(function, inputs, position[0, 0])
+    beads, overflow = part(functools.partial(_laid_out, grid), box, position, ids)
+
+    def block(carry, begin):
+        idx, total, pairs, windows = carry
+        ranges = part(functools.partial(_ranges, grid, size), box, beads, begin)
+        words = part(functools.partial(_near, grid), ranges, beads.places)
+        word, bit, filled, count = part(functools.partial(_set_bits, capacity=room), words)
+        bead, slot = part(functools.partial(_bead_and_slot, grid), ranges, word, bit)
+        a, b, swap = part(_ends, beads, bead, slot)
+        ends = jnp.stack([jnp.where(filled, end, n) for end in (jnp.where(swap, b, a), jnp.where(swap, a, b))])
+        # The next block goes where this one is not filled.
+        idx = jax.lax.dynamic_update_slice_in_dim(idx, ends, total, 1)
+        pairs |= (count > room) | (total + room > grid.capacity)
+        return (idx, total + count, pairs, windows | jnp.any(ranges.length > grid.window)), None
+
+    empty = jnp.full((2, grid.capacity), n, jnp.int32)
+    start = (empty, jnp.zeros((), jnp.int32), jnp.zeros((), bool), overflow)
+    (idx, _, pairs, windows), _ = jax.lax.scan(block, start, jnp.arange(0, n, size, dtype=jnp.int32))
+    return idx, (pairs, windows)
+
+
+def blocks(n: int) -> int:
+    """Blocks, all of one size, in which the pairs of ``n`` beads are found."""
+    return max(1, n // BLOCK) if on_cpu() else 1
+
+
+def cell_order(grid, box: boxes.Box, position, ids):
+    """The slots (n,) of the beads sorted by cell, by id within one."""
+    return _sorted(_cells(grid, box, position)[0], math.prod(grid.cells), ids)
+
+
+def inverse(order):
+    """Where each number of a permutation stands in it."""
+    count = jnp.arange(order.shape[0], dtype=jnp.int32)
+    return jnp.zeros_like(count).at[order].set(count, unique_indices=True)
+
+
+def _cells(grid, box, position):
+    """The number of each bead's cell, x fastest, and its image in the tilted box (n, 3)."""
+    nx, ny, nz = grid.cells
+    fractional, position = boxes.in_lattice(box, position)
+    cell = (fractional * np.array(grid.cells)[None]).astype(jnp.int32)
+    x, y, z = (jnp.minimum(cell[:, k], grid.cells[k] - 1) for k in range(3))
+    return (z * ny + y) * nx + x, position
+
+
+def _sorted(cell, cells: int, ids=None):
+    """The slots (n,) sorted by cell, and by id (by slot without ids) within one."""
+    ids = jnp.arange(cell.shape[0], dtype=jnp.int32) if ids is None else ids
+    if not on_cpu():
+        return jnp.lexsort((ids, cell)).astype(jnp.int32)
+    counts = jnp.zeros(cells, jnp.int32).at[cell].add(1)
+    return inverse((jnp.cumsum(counts) - counts)[cell] + _rank(cell, cells, ids))
+
+
+def _rank(cell, cells: int, ids):
+    """How many beads of the same cell have a lower id (n,).
+
+    Each turn takes the lowest of every cell: as many turns as the fullest cell has beads, and still
+    a third of the time of a sort.
+    """
+    n = cell.shape[0]
+
+    def turn(carry):
+        turns, left, rank = carry
+        lowest = jnp.full(cells, n, jnp.int32).at[cell].min(left)
+        # Beads that had their turn are left as n.
+        taken = (lowest[cell] == left) & (left < n)
+        return turns + 1, jnp.where(taken, n, left), jnp.where(taken, turns, rank)
+
+    zero = jnp.zeros((), jnp.int32)
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < n), turn, (zero, ids, jnp.zeros_like(ids)))[2]
+
+
+class Layout(NamedTuple):
+    """Sorted beads in slots, row after row of cells, each row between images of its own ends.
+
+    A range of cells is then a range of slots, at the ends of the rows too.
+
+    Attributes:
+        cell, position, home: of each sorted bead its cell, its position by component, and its slot (n,).
+        first: first slot of each cell, images included, and the end of all.
+        places: position in each slot, by component.
+        here, there: slot in memory of each sorted bead, and of the bead in each slot; with ids, their ids too.
+    """
+
+    cell: Any
+    position: tuple
+    home: Any
+    first: Any
+    places: tuple
+    here: tuple
+    there: tuple
+
+
+def _laid_out(grid, box, position, ids):
+    """The layout of the beads, and whether there are more images than room for them."""
+    cell, position = _cells(grid, box, position)
+    order = _sorted(cell, math.prod(grid.cells), ids)
+    cell, position = cell[order], tuple(position[order, k] for k in range(3))
+    first, home, bead, turn, overflow = _rows(grid, cell)
+    x, y, z = (c[bead] for c in position)
+    here = (order,) if ids is None else (order, ids[order])
+    there = tuple(name[bead] for name in here)
+    return Layout(cell, position, home, first, (x + turn * box.lengths[0], y, z), here, there), overflow
+
+
+def _rows(grid, cell):
+    """First slot of each cell, slot of each bead, bead in each slot, its turns along x (-1, 0, 1), overflow."""
+    n, (nx, ny, nz), span = cell.shape[0], grid.cells, grid.span
+    counts = jnp.zeros(nx * ny * nz, jnp.int32).at[cell].add(1, indices_are_sorted=True)
+    before = (jnp.cumsum(counts) - counts).reshape(-1, nx)
+    counts = counts.reshape(-1, nx)
+    counts = jnp.concatenate([counts[:, nx - span :], counts, counts[:, :span]], axis=1)
+    first = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(counts.ravel())])
+    # Each row has three runs of consecutive beads: images, the row itself, images.
+    begin = first[:-1].reshape(counts.shape)[:, np.array([0, span, span + nx])]
+    ahead = before[:, np.array([nx - span, 0, 0])] - begin
+    images = min(n, math.ceil(ny * nz * grid.window * 2 * span / (2 * span + 1)))
+    # The last window too ends inside.
+    slots = jnp.arange(n + images + grid.window, dtype=jnp.int32)
+    run = jnp.cumsum(jnp.zeros_like(slots).at[begin.ravel()].add(1, mode="drop", indices_are_sorted=True)) - 1
+    bead = jnp.clip(slots + ahead.ravel()[run], 0, n - 1)
+    home = jnp.arange(n, dtype=jnp.int32) - ahead[:, 1][_divided(cell, nx)[0]]
+    return first, home, bead, _divided(run, 3)[1] - 1, first[-1] > n + images
+
+
+class Ranges(NamedTuple):
+    """The five ranges of slots in which a bead finds its partners.
+
+    Attributes:
+        bead: the first of the block.
+        start, length: of each range (beads, 5).
+        origin: where the bead is as seen from the range, by component (beads, 5).
+    """
+
+    bead: Any
+    start: Any
+    length: Any
+    origin: tuple
+
+
+def _ranges(grid, size, box, beads: Layout, begin) -> Ranges:
+    """The ranges of ``size`` beads from ``begin`` on; the last block reaches back, with empty ranges.
+
+    Four ranges span the cells x - span to x + span of a row above; the first, in the bead's own
+    row, runs from the next slot to the end of x + span.
+    """
+    nx, ny, nz = grid.cells
+    at = jnp.minimum(begin, beads.cell.shape[0] - size)
+    here = lambda column: jax.lax.dynamic_slice_in_dim(column, at, size)[:, None]
+    cell, home = here(beads.cell), here(beads.home)
+    row, x = _divided(cell, nx)
+    z, y = (c + ROWS[None, :, k] for c, k in zip(_divided(row, ny), (1, 0)))
+    turn_y, turn_z = ((c >= m).astype(jnp.int32) - (c < 0) for c, m in ((y, ny), (z, nz)))
+    from_cell = ((z - turn_z * nz) * ny + y - turn_y * ny) * (nx + 2 * grid.span) + x
+    own = np.arange(len(ROWS))[None] == 0
+    start = jnp.where(own, home + 1, beads.first[from_cell])
+    fresh = at + jnp.arange(size, dtype=jnp.int32)[:, None] >= begin
+    length = jnp.where(fresh, beads.first[from_cell + 2 * grid.span + 1] - start, 0)
+    lx, ly, lz = box.lengths
+    rx, ry, rz = (here(c) for c in beads.position)
+    return Ranges(at, start, length, (rx - turn_y * (box.strain * ly), ry - turn_y * ly, rz - turn_z * lz))
+
+
+def _near(grid, ranges: Ranges, places):
+    """Which slots of each window are within the cut of its bead, packed into words."""
+    width = _width(grid)
+    begin = np.arange(0, grid.window, width, dtype=np.int32)[None, None]
+    offset = begin[..., None] + np.arange(width, dtype=np.int32)[None, None, None]
+    # Consecutive slots are read at once; an index for each would take several times as long.
+    numbers = jax.lax.GatherDimensionNumbers(offset_dims=(3,), collapsed_slice_dims=(), start_index_map=(0,))
+    first = (ranges.start[..., None] + begin)[..., None]
+    part = lambda c: jax.lax.gather(c, first, numbers, (width,), mode="promise_in_bounds")
+    dx, dy, dz = (part(c) - o[..., None, None] for c, o in zip(places, ranges.origin))
+    near = dx * dx + dy * dy + dz * dz < grid.cut**2
+    return _packed(near & (offset < ranges.length[..., None, None])).ravel()
+
+
+def _width(grid) -> int:
+    """Bits used of a word: the widest that divides the window."""
+    return next(width for width in range(WORD, 0, -BYTE) if grid.window % width == 0)
+
+
+def _bead_and_slot(grid, ranges: Ranges, word, bit):
+    """The sorted bead, and the slot of its partner, that a bit of a word stands for."""
+    width = _width(grid)
+    entry, part = _divided(word, grid.window // width)
+    entry = jnp.minimum(entry, ranges.start.size - 1)
+    return ranges.bead + _divided(entry, len(ROWS))[0], ranges.start.ravel()[entry] + part * width + bit
+
+
+def _ends(beads: Layout, bead, slot):
+    """Both beads of each pair as slots in memory, and whether they are to change places."""
+    a, b = beads.here[0][bead], beads.there[0][slot]
+    # By id where there is one: it is the same wherever the beads are stored.
+    return a, b, beads.here[-1][bead] > beads.there[-1][slot]
+
+
+def _divided(number, by: int):
+    """Quotient and remainder of numbers from 0 on; ``//`` and ``%`` look at signs too."""
+    by = jnp.full_like(number, by)
+    return jax.lax.div(number, by), jax.lax.rem(number, by)
+
+
+def _packed(bits):
+    """Booleans, at most 32 on the last axis, as words."""
+    shift = np.arange(bits.shape[-1], dtype=np.uint32).reshape([1] * (bits.ndim - 1) + [-1])
+    return jnp.sum(bits.astype(jnp.uint32) << shift, axis=-1, dtype=jnp.uint32)
+
+
+def _set_bits(words, capacity):
+    """Word and bit of each of the first ``capacity`` set bits, whether there is one, and how many in all."""
+    counts = jax.lax.population_count(words).astype(jnp.int32)
+    ends = jnp.cumsum(counts)
+    begins = ends - counts
+    # A mark where each word begins in the output; as many marks as words have begun so far.
+    marks = jnp.zeros(capacity, jnp.int32).at[begins].add(1, mode="drop")
+    word = jnp.cumsum(marks) - 1
+    slot = jnp.arange(capacity, dtype=jnp.int32)
+    return word, _select_bit(words[word], slot - begins[word]), slot < ends[-1], ends[-1]
+
+
+def _select_bit(word, rank):
+    """Position of the set bit of ``word`` that has ``rank`` set bits below it."""
+    position = jnp.zeros_like(rank)
+    for width in (16, 8, 4, 2, 1):
+        low = (word >> position.astype(jnp.uint32)) & jnp.uint32((1 << width) - 1)
+        below = jax.lax.population_count(low).astype(jnp.int32)
+        above = rank >= below
+        rank = jnp.where(above, rank - below, rank)
+        position = jnp.where(above, position + width, position)
+    return position
