@@ -44,8 +44,8 @@ def all_pairs(grid, box: boxes.Box, position):
 def cell_pairs(grid, box: boxes.Box, position, ids=None):
     """All pairs within ``grid.cut``: indices (2, capacity), and (pairs, windows) overflow."""
     n = position.shape[0]
-    size = -(-n // blocks(n))
-    room = min(grid.capacity, int(MARGIN * grid.capacity / blocks(n)))
+    size = block_size(n)
+    room = min(grid.capacity, rounded(MARGIN * grid.capacity * size / n))
     part = lambda function, *inputs: apart(function, inputs, position[0, 0])
     beads, overflow = part(functools.partial(_laid_out, grid), box, position, ids)
 
@@ -68,9 +68,22 @@ def cell_pairs(grid, box: boxes.Box, position, ids=None):
     return idx, (pairs, windows)
 
 
-def blocks(n: int) -> int:
-    """Blocks, all of one size, in which the pairs of ``n`` beads are found."""
-    return max(1, n // BLOCK) if on_cpu() else 1
+def block_size(n: int) -> int:
+    """Beads of a block: shares of about ``BLOCK``, or all of them."""
+    blocks = max(1, n // BLOCK) if on_cpu() else 1
+    return n if blocks == 1 else min(n, rounded(n / blocks, 32))
+
+
+def stretch(n: int) -> float:
+    """Length of a list over its pairs, so that the last block too finds all of its room in it."""
+    size = block_size(n)
+    before = (-(-n // size) - 1) * size
+    return max(1.0, before / (n - MARGIN * size)) if before else 1.0
+
+
+def rounded(count: float, unit: int = 256) -> int:
+    """The next multiple of ``unit``: XLA needs up to six times as long for loops over odd counts."""
+    return -(-math.ceil(count) // unit) * unit
 
 
 def cell_order(grid, box: boxes.Box, position, ids):
@@ -167,7 +180,7 @@ def _rows(grid, cell):
     ahead = before[:, np.array([nx - span, 0, 0])] - begin
     images = min(n, math.ceil(ny * nz * grid.window * 2 * span / (2 * span + 1)))
     # The last window too ends inside.
-    slots = jnp.arange(n + images + grid.window, dtype=jnp.int32)
+    slots = jnp.arange(rounded(n + images + grid.window), dtype=jnp.int32)
     run = jnp.cumsum(jnp.zeros_like(slots).at[begin.ravel()].add(1, mode="drop", indices_are_sorted=True)) - 1
     bead = jnp.clip(slots + ahead.ravel()[run], 0, n - 1)
     home = jnp.arange(n, dtype=jnp.int32) - ahead[:, 1][_divided(cell, nx)[0]]

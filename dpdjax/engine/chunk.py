@@ -12,7 +12,7 @@ from dpdjax.engine.batching import each_member
 from dpdjax.engine.simulate import Plan, advance
 from dpdjax.engine.state import State, grow
 
-MAX_GROWTHS = 12
+MAX_GROWTHS = 20
 
 
 def batched(state: State, key) -> State:

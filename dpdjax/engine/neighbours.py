@@ -48,11 +48,11 @@ class Grid:
         return self.reach + self.skin
 
     def grown(self, pairs: bool, windows: bool) -> "Grid":
-        """A grid with half as much again of what overflowed."""
+        """A grid with a quarter more of what overflowed: every step pays for room that is not used."""
         return dataclasses.replace(
             self,
-            capacity=_round_up(int(1.5 * self.capacity), 256) if pairs else self.capacity,
-            window=_whole_words(int(1.5 * self.window)) if windows else self.window,
+            capacity=cells.rounded(1.25 * self.capacity) if pairs else self.capacity,
+            window=_whole_words(int(1.25 * self.window)) if windows else self.window,
         )
 
 
@@ -80,28 +80,21 @@ def plan_grid(n: int, lengths, reach: float, skin: float, sheared: bool = True) 
     shape[0] *= FINENESS
     span = math.ceil(shape[0] * cut / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
     per_range = (2 * span + 1) * n / shape.prod()
-    window = _whole_words(int(per_range + 4 * math.sqrt(per_range)))
+    window = _whole_words(int(per_range + 5 * math.sqrt(per_range)))
     return Grid(reach, skin, tuple(int(c) for c in shape), span, window, capacity, sheared)
 
 
 def _capacity(n: int, density: float, cut: float) -> int:
     """Room for the pairs of beads without structure and six standard deviations more, but no more than there are."""
     pairs = 0.5 * n * density * (4 / 3) * math.pi * cut**3
-    blocks = cells.blocks(n)
-    # The last block of the builder needs all of its room.
-    spare = (cells.MARGIN - 1) / blocks if blocks > 1 else 0.0
-    room = 1.03 * (1 + spare) * pairs + 6 * math.sqrt(pairs)
-    return min(_round_up(int(room) + 64, 256), max(n * (n - 1) // 2, 1))
+    room = cells.stretch(n) * (1.03 * pairs + 6 * math.sqrt(pairs)) + 64
+    return min(cells.rounded(room), max(n * (n - 1) // 2, 1))
 
 
 def _whole_words(slots: int) -> int:
     """A window of at least ``slots``: words of equal width, in whole bytes."""
     words = -(-slots // cells.WORD)
-    return words * _round_up(-(-slots // words), cells.BYTE)
-
-
-def _round_up(value: int, unit: int) -> int:
-    return -(-value // unit) * unit
+    return words * cells.BYTE * -(-slots // (words * cells.BYTE))
 
 
 @jax.tree_util.register_dataclass

@@ -18,7 +18,7 @@ from dpdjax.host.run import run
 
 SETTLE = 400
 """Steps from a random start to a fluid whose lists last as long as they will."""
-LARGEST_SETTLE, LONGEST = 100_000_000, 20_000_000
+LARGEST_SETTLE, LONGEST = 100_000_000, 50_000_000
 """Particle-steps at which the settling and a timed run of a large box are cut short."""
 
 

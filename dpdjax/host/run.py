@@ -15,7 +15,7 @@ from dpdjax.engine.record import recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 
-CHUNK, LEAST = 1_000_000, 25
+CHUNK, LEAST = 1_000_000, 50
 """Particle-steps between two looks at the status: half a second; and steps, over which a large box is sorted once."""
 
 
