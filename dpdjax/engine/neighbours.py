@@ -6,7 +6,10 @@ The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format,
 
 import dataclasses
 import functools
+import importlib.util
 import math
+import sys
+import types
 
 import jax
 import jax.numpy as jnp
@@ -127,8 +130,7 @@ def allocate(grid: Grid, box: boxes.Box, position, ids=None) -> Neighbours:
 
 def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
     """A list from its arrays; ``code`` has jax-md's bits, 1 pair and 2 cell overflow."""
-    from jax_md import partition
-
+    partition = jax_md_partition()
     neighbour_list = partition.NeighborList(
         idx=idx,
         reference_position=reference_position,
@@ -141,6 +143,21 @@ def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
         update_fn=updater(grid),
     )
     return Neighbours(neighbour_list, strain, grid)
+
+
+@functools.cache
+def jax_md_partition():
+    """The module ``jax_md.partition`` alone: the whole package compiles for five seconds when it is imported."""
+    if "jax_md" in sys.modules:
+        return importlib.import_module("jax_md.partition")
+    package = types.ModuleType("jax_md")
+    package.__path__ = list(importlib.util.find_spec("jax_md").submodule_search_locations)
+    sys.modules["jax_md"] = package
+    try:
+        return importlib.import_module("jax_md.partition")
+    finally:
+        # A later import of the package is the real one, and finds this module there.
+        del sys.modules["jax_md"]
 
 
 @functools.cache
