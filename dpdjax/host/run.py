@@ -39,6 +39,7 @@ def run(
     **Batches.** A vector of keys runs one member for each key. The state may be a batch
     (from a vmapped ``initial_state`` or an earlier batch) or one state for all, and so may
     every number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan.
+    An accelerator runs the members side by side, a CPU one after another: its caches hold one.
 
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.

@@ -3,7 +3,7 @@
     python tests/benchmarks/scaling.py
 
 Every figure is from a process of its own (so that its peak memory is its own), in rounds of
-all; medians over the rounds. Writes ``tests/benchmarks/SCALING.md``. Water: a 25, gamma 4.5,
+all; medians over the rounds. Half an hour on two cores. Writes ``tests/benchmarks/SCALING.md``. Water: a 25, gamma 4.5,
 kT 1, dt 0.01, density 3.
 """
 
