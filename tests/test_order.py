@@ -94,6 +94,13 @@ def test_the_sort_by_cell_and_id(n, cells, cpu, monkeypatch):
     assert np.array_equal(by_cell._sorted(jnp.asarray(cell, jnp.int32), cells), np.argsort(cell, kind="stable"))
 
 
+@pytest.mark.parametrize("value", [jnp.nan, jnp.inf, -1e30])
+def test_beads_that_are_nowhere_are_sorted_all_the_same(value, monkeypatch, sheared_water):
+    monkeypatch.setattr(order, "SMALLEST", 0)
+    lost = dataclasses.replace(sheared_water, position=sheared_water.position.at[5:9].set(value))
+    assert jnp.array_equal(jnp.sort(order.in_cell_order(lost).id), sheared_water.id)
+
+
 def test_derivatives_of_a_sorted_run(monkeypatch, water, sheared_water, key):
     def speed(gamma, kept):
         monkeypatch.setattr(order, "SMALLEST", 100 if kept else 10**9)

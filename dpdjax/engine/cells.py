@@ -102,7 +102,8 @@ def _cells(grid, box, position):
     nx, ny, nz = grid.cells
     fractional, position = boxes.in_lattice(box, position)
     cell = (fractional * np.array(grid.cells)[None]).astype(jnp.int32)
-    x, y, z = (jnp.minimum(cell[:, k], grid.cells[k] - 1) for k in range(3))
+    # Below 0 too, for positions that became NaN: they must not send the sort round for ever.
+    x, y, z = (jnp.clip(cell[:, k], 0, grid.cells[k] - 1) for k in range(3))
     return (z * ny + y) * nx + x, position
 
 
