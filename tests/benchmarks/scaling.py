@@ -119,6 +119,7 @@ def table(found):
         costs = f"{steps:.2g} | {1e3 * rebuild:.3g} | {memory / 2**30:.2f}"
         lines.append(f"| {name} | {speed[name]:.3g} | {best / speed[name]:.2f} | {costs} |")
     gradient = statistics.median(r["gradient"] / r["primal"] for r in found["reverse"])
+    run = f"{REVERSE_FRAMES * REVERSE_EVERY} steps of {REVERSE_BEADS} beads, kept every {REVERSE_EVERY}"
     return "\n".join(
         [
             *lines,
@@ -126,7 +127,7 @@ def table(found):
             "| derivative or start | |",
             "|---|---|",
             f"| forward tangent over primal, 3,000 beads | {median('tangent', 'tangent_over_primal'):.2f} |",
-            f"| gradient over primal, {REVERSE_FRAMES * REVERSE_EVERY} steps of {REVERSE_BEADS} beads, kept every {REVERSE_EVERY} | {gradient:.2f} |",
+            f"| gradient over primal, {run} | {gradient:.2f} |",
             f"| peak memory of that process, GiB | {median('reverse', 'peak_memory_bytes') / 2**30:.2f} |",
             f"| first frame of 3,000 beads from a cold start, s | {statistics.median(found['first frame']):.1f} |",
         ]
