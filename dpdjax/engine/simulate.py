@@ -163,6 +163,7 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
 
     Recorders get ``seen(state)``: the beads in the caller's order.
     """
+
     def add(sums, state):
         view = seen(state)
         return [r.add(s, fluid, view) for r, s in zip(how, sums)]
@@ -188,10 +189,10 @@ def list_trouble(fluid, state):
         reach = jnp.stack([jnp.max(t.reach) for t in interaction.terms])
         trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
         sides = state.box.lengths
-        trouble |= bits.flag(jnp.any(sides < 2 * (grid.reach + grid.skin) * (1 - 1e-5)), bits.BOX_TOO_SMALL)
+        trouble |= bits.flag(jnp.any(sides < 2 * grid.cut * (1 - 1e-5)), bits.BOX_TOO_SMALL)
         if grid.cells is not None:
             across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray((grid.span, 1, 1), sides.dtype)
-            least = across * (grid.reach + grid.skin) * (1 - 1e-5)
+            least = across * grid.cut * (1 - 1e-5)
             trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
     return trouble
 
