@@ -92,6 +92,86 @@ def test_list_equals_all_pairs(lengths, n, build):
             assert pairs_within(1.15 - 1e-12, true) <= found <= pairs_within(1.15 + 1e-12, true)
 
 
+GROUPS = [((0, 80), (80, 420)), ((0, 340), (340, 420)), ((10, 210), (215, 415)), ((0, 70), (90, 420)), ((0, 3), (3, 420))]
+"""Few and many, many and few, as many of either, with beads left out, and so few that all pairs are tried."""
+
+
+@pytest.mark.parametrize(
+    "lengths, groups",
+    [((5.2, 5.2, 5.2), groups) for groups in GROUPS] + [(box, GROUPS[0]) for box in ((5.4, 9.0, 4.9), (3.9, 4.0, 9.0))],
+    ids=str,
+)
+def test_list_between_two_groups_equals_all_pairs(lengths, groups, build):
+    n, cut = 420, 1.55
+    planned = lists.plan_grid(groups, lengths, 1.4, 0.15)
+    few, many = planned.few[1] - planned.few[0], planned.many[1] - planned.many[0]
+    roomy = dataclasses.replace(planned, window=-(-n // 8) * 8, capacity=few * many)
+    assert (planned.cells is None) == (few == 3 or min(lengths) < 4)
+    rng = np.random.default_rng(n)
+    first, second = (np.isin(np.arange(n), np.arange(*group)) for group in groups)
+    for tilt in (-0.5, -1e-3, 0.31):
+        box = boxes.Box(jnp.asarray(lengths), jnp.asarray(tilt * lengths[0] / lengths[1]))
+        for place in (uniform, clustered, on_boundaries):
+            position = np.asarray(boxes.wrap(box, jnp.asarray(place(rng, lengths, n)))[0])
+            idx, overflow = build(roomy, box, position)
+            assert not any(overflow)
+            true = distances(lengths, float(box.strain), position)
+            true[~(first[:, None] & second[None, :])] = np.inf
+            assert pairs_within(cut - 1e-12, true) <= listed(idx, n) <= pairs_within(cut + 1e-12, true)
+
+
+@pytest.mark.parametrize("groups", GROUPS[:2], ids=str)
+def test_the_order_of_beads_in_memory_does_not_change_a_list_between_groups(groups, build):
+    lengths, n = (5.2, 5.2, 5.2), 420
+    grid, box = lists.plan_grid(groups, lengths, 1.4, 0.15), boxes.box(lengths)
+    rng = np.random.default_rng(1)
+    position = uniform(rng, lengths, n)
+    ids = np.concatenate([rng.permutation(np.arange(*group)) for group in groups]).astype(np.int32)
+    for chosen in (grid, dataclasses.replace(grid, cells=None)):
+        by_id, _ = build(chosen, box, position, np.arange(n, dtype=np.int32))
+        stored, _ = build(chosen, box, position[ids], ids)
+        real = np.asarray(by_id[0] < n)
+        assert real.sum() > 500
+        assert np.array_equal(ids[np.asarray(stored)[:, real]], np.asarray(by_id)[:, real])
+
+
+def test_a_list_between_groups_lasts_while_neither_moves_too_far():
+    lengths, n = (5.2, 5.2, 5.2), 300
+    grid, box = lists.plan_grid(((0, 80), (80, 250)), lengths, 1.4, 0.2), boxes.box(lengths)
+    position = jnp.asarray(uniform(np.random.default_rng(2), lengths, n))
+    old = lists.allocate(grid, box, position)
+    moved = lambda bead, by: position.at[bead, 1].add(by)
+    for by, stale in (
+        (moved(3, 0.19), False), (moved(3, 0.21), True), (moved(90, 0.21), True), (moved(299, 3.0), False),
+        (moved(3, 0.11).at[90, 0].add(0.11), True), (moved(3, 0.11).at[4, 0].add(0.11), False),
+    ):  # fmt: skip
+        assert jax.jit(lists.is_stale)(old, box, by) == stale
+
+
+def test_lists_between_groups_in_a_batch_and_in_a_gradient():
+    lengths, n = (5.2, 5.2, 5.2), 300
+    grid, box = lists.plan_grid(((0, 80), (80, n)), lengths, 1.4, 0.2), boxes.box(lengths)
+    position = jnp.asarray(uniform(np.random.default_rng(2), lengths, n))
+    batch = jnp.stack([position, position.at[3, 0].add(0.5), position.at[3, 0].add(0.01)])
+    old = lists.allocate(grid, box, position)
+    new = jax.jit(jax.vmap(lists.update, (None, None, 0)))(old, box, batch)
+    for k in range(3):
+        assert jnp.array_equal(new.list.idx[k], lists.update(old, box, batch[k]).list.idx)
+    assert jnp.array_equal(new.list.idx[2], old.list.idx)
+    assert not jnp.array_equal(new.list.idx[1], old.list.idx)
+
+    def spread(position):
+        i, j = lists.update(old, box, position).list.idx
+        d = boxes.displacement(box, position[jnp.minimum(i, n - 1)], position[jnp.minimum(j, n - 1)])
+        return jnp.sum(jnp.where(i < n, 1.4**2 - jnp.sum(d * d, axis=1), 0.0))
+
+    push = jnp.asarray(np.random.default_rng(3).normal(size=(n, 3)))
+    slope = jnp.vdot(jax.jit(jax.grad(spread))(batch[1]), push)
+    step = 1e-6
+    central = (spread(batch[1] + step * push) - spread(batch[1] - step * push)) / (2 * step)
+    np.testing.assert_allclose(slope, central, rtol=1e-6)
+
+
 def test_boxes_of_the_list_test_use_cells_and_all_pairs():
     shapes = [lists.plan_grid(n, lengths, 1.0, 0.15).cells for lengths, n in BOXES]
     assert [shape is None for shape in shapes] == [False, False, False, False, True, True]

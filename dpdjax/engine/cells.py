@@ -6,6 +6,9 @@ Each row is stored between periodic images of its own ends, so a range is a stre
 window of it is read at once and tested, and the verdicts are packed into 32-bit words. Each slot
 of the list finds its word from prefix sums of the popcounts and its bit inside the word by binary
 search. Nothing large is scattered, and the shapes are static.
+
+Between two groups the beads of the larger one are stored in rows, and those of the smaller one
+look through all nine rows around them.
 """
 
 import functools
@@ -19,8 +22,9 @@ import numpy as np
 from dpdjax.engine import box as boxes
 from dpdjax.engine.batching import apart, on_cpu
 
-# Rows of the half stencil as (dy, dz); the first is the bead's own row.
-ROWS = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]], np.int32)
+# Rows as (dy, dz): of the half stencil, the first the bead's own row; and all around a bead.
+HALF = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]], np.int32)
+FULL = np.array([[y, z] for z in (-1, 0, 1) for y in (-1, 0, 1)], np.int32)
 BYTE, WORD = 8, 32
 BLOCK = 16_384
 """Beads whose pairs a CPU finds at a time (measured: tests/benchmarks)."""
@@ -28,10 +32,13 @@ MARGIN = 1.05
 """Room for the pairs of a block over its share of the list."""
 
 
-def all_pairs(grid, box: boxes.Box, position):
-    """The list of :func:`cell_pairs` by trying every pair: for boxes of few cells."""
+def all_pairs(grid, box: boxes.Box, position, ids=None):
+    """The list of :func:`cell_pairs` by trying every pair: for boxes of few cells, and for very few beads."""
     n = position.shape[0]
-    i, j = np.triu_indices(n, 1)
+    i, j = _every_pair(grid)
+    if ids is not None:
+        slot = inverse(ids)
+        i, j = slot[i], slot[j]
     d = boxes.displacement(box, position[i], position[j])
     near = jnp.sum(d * d, axis=1) < grid.cut**2
     words = _packed(jnp.pad(near, (0, -near.size % WORD)).reshape(-1, WORD))
@@ -41,21 +48,32 @@ def all_pairs(grid, box: boxes.Box, position):
     return idx.astype(jnp.int32), (total > grid.capacity, jnp.asarray(False))
 
 
+def _every_pair(grid):
+    """Both beads of every pair there is, by id: lower first, or of the first group first."""
+    first, second = grid.groups
+    if grid.is_one_group:
+        i, j = np.triu_indices(first[1] - first[0], 1)
+        return i + first[0], j + first[0]
+    i, j = np.meshgrid(np.arange(*first), np.arange(*second), indexing="ij")
+    return i.ravel(), j.ravel()
+
+
 def cell_pairs(grid, box: boxes.Box, position, ids=None):
     """All pairs within ``grid.cut``: indices (2, capacity), and (pairs, windows) overflow."""
     n = position.shape[0]
-    size = block_size(n)
-    room = min(grid.capacity, rounded(MARGIN * grid.capacity * size / n))
     part = lambda function, *inputs: apart(function, inputs, position[0, 0])
-    beads, overflow = part(functools.partial(_laid_out, grid), box, position, ids)
+    seekers, rows, overflow = part(functools.partial(_laid_out, grid), box, position, ids)
+    seeking = seekers.cell.shape[0]
+    size = block_size(seeking)
+    room = min(grid.capacity, rounded(MARGIN * grid.capacity * size / seeking))
 
     def block(carry, begin):
         idx, total, pairs, windows = carry
-        ranges = part(functools.partial(_ranges, grid, size), box, beads, begin)
-        words = part(functools.partial(_near, grid), ranges, beads.places)
+        ranges = part(functools.partial(_ranges, grid, size), box, seekers, rows, begin)
+        words = part(functools.partial(_near, grid), ranges, rows.places)
         word, bit, filled, count = part(functools.partial(_set_bits, capacity=room), words)
         bead, slot = part(functools.partial(_bead_and_slot, grid), ranges, word, bit)
-        a, b, swap = part(_ends, beads, bead, slot)
+        a, b, swap = part(functools.partial(_ends, grid), seekers, rows, bead, slot)
         ends = jnp.stack([jnp.where(filled, end, n) for end in (jnp.where(swap, b, a), jnp.where(swap, a, b))])
         # The next block goes where this one is not filled.
         idx = jax.lax.dynamic_update_slice_in_dim(idx, ends, total, 1)
@@ -64,7 +82,7 @@ def cell_pairs(grid, box: boxes.Box, position, ids=None):
 
     empty = jnp.full((2, grid.capacity), n, jnp.int32)
     start = (empty, jnp.zeros((), jnp.int32), jnp.zeros((), bool), overflow)
-    (idx, _, pairs, windows), _ = jax.lax.scan(block, start, jnp.arange(0, n, size, dtype=jnp.int32))
+    (idx, _, pairs, windows), _ = jax.lax.scan(block, start, jnp.arange(0, seeking, size, dtype=jnp.int32))
     return idx, (pairs, windows)
 
 
@@ -122,50 +140,68 @@ def _rank(cell, cells: int, ids):
     Each turn takes the lowest of every cell: as many turns as the fullest cell has beads, and still
     a third of the time of a sort.
     """
-    n = cell.shape[0]
+    nobody = np.iinfo(np.int32).max
 
     def turn(carry):
         turns, left, rank = carry
-        lowest = jnp.full(cells, n, jnp.int32).at[cell].min(left)
-        # Beads that had their turn are left as n.
-        taken = (lowest[cell] == left) & (left < n)
-        return turns + 1, jnp.where(taken, n, left), jnp.where(taken, turns, rank)
+        lowest = jnp.full(cells, nobody, jnp.int32).at[cell].min(left)
+        # Beads that had their turn are left as nobody.
+        taken = (lowest[cell] == left) & (left < nobody)
+        return turns + 1, jnp.where(taken, nobody, left), jnp.where(taken, turns, rank)
 
     zero = jnp.zeros((), jnp.int32)
-    return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < n), turn, (zero, ids, jnp.zeros_like(ids)))[2]
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < nobody), turn, (zero, ids, jnp.zeros_like(ids)))[2]
 
 
-class Layout(NamedTuple):
-    """Sorted beads in slots, row after row of cells, each row between images of its own ends.
-
-    A range of cells is then a range of slots, at the ends of the rows too.
+class Beads(NamedTuple):
+    """The beads of a group sorted by cell, by id within one.
 
     Attributes:
-        cell, position, home: of each sorted bead its cell, its position by component, and its slot (n,).
-        first: first slot of each cell, images included, and the end of all.
-        places: position in each slot, by component.
-        here, there: slot in memory of each sorted bead, and of the bead in each slot; with ids, their ids too.
+        cell, position: of each its cell and its position by component, (n,).
+        name: its slot in memory; with ids, its id too.
     """
 
     cell: Any
     position: tuple
-    home: Any
+    name: tuple
+
+
+class Rows(NamedTuple):
+    """Beads in slots, row after row of cells, each row between images of its own ends.
+
+    A range of cells is then a range of slots, at the ends of the rows too.
+
+    Attributes:
+        first: first slot of each cell, images included, and the end of all.
+        home: slot of each sorted bead itself (n,).
+        places: position in each slot, by component.
+        name: slot in memory of the bead in each slot; with ids, its id too.
+    """
+
     first: Any
+    home: Any
     places: tuple
-    here: tuple
-    there: tuple
+    name: tuple
+
+
+def _sorted_group(grid, group, box, position, ids) -> Beads:
+    """The beads in the slots from ``group[0]`` to ``group[1]`` of the state."""
+    begin, end = group
+    ids = None if ids is None else ids[begin:end]
+    cell, position = _cells(grid, box, position[begin:end])
+    order = _sorted(cell, math.prod(grid.cells), ids)
+    name = (begin + order,) if ids is None else (begin + order, ids[order])
+    return Beads(cell[order], tuple(position[order, k] for k in range(3)), name)
 
 
 def _laid_out(grid, box, position, ids):
-    """The layout of the beads, and whether there are more images than room for them."""
-    cell, position = _cells(grid, box, position)
-    order = _sorted(cell, math.prod(grid.cells), ids)
-    cell, position = cell[order], tuple(position[order, k] for k in range(3))
-    first, home, bead, turn, overflow = _rows(grid, cell)
-    x, y, z = (c[bead] for c in position)
-    here = (order,) if ids is None else (order, ids[order])
-    there = tuple(name[bead] for name in here)
-    return Layout(cell, position, home, first, (x + turn * box.lengths[0], y, z), here, there), overflow
+    """Who seeks partners, the rows to seek them in, and whether these have more images than room for them."""
+    beads = _sorted_group(grid, grid.many, box, position, ids)
+    first, home, bead, turn, overflow = _rows(grid, beads.cell)
+    x, y, z = (c[bead] for c in beads.position)
+    rows = Rows(first, home, (x + turn * box.lengths[0], y, z), tuple(name[bead] for name in beads.name))
+    seekers = beads if grid.is_one_group else _sorted_group(grid, grid.few, box, position, ids)
+    return seekers, rows, overflow
 
 
 def _rows(grid, cell):
@@ -189,12 +225,12 @@ def _rows(grid, cell):
 
 
 class Ranges(NamedTuple):
-    """The five ranges of slots in which a bead finds its partners.
+    """The ranges of slots in which a bead finds its partners, one for each row of the stencil.
 
     Attributes:
         bead: the first of the block.
-        start, length: of each range (beads, 5).
-        origin: where the bead is as seen from the range, by component (beads, 5).
+        start, length: of each range (beads, rows).
+        origin: where the bead is as seen from the range, by component (beads, rows).
     """
 
     bead: Any
@@ -203,26 +239,27 @@ class Ranges(NamedTuple):
     origin: tuple
 
 
-def _ranges(grid, size, box, beads: Layout, begin) -> Ranges:
-    """The ranges of ``size`` beads from ``begin`` on; the last block reaches back, with empty ranges.
+def _ranges(grid, size, box, seekers: Beads, rows: Rows, begin) -> Ranges:
+    """The ranges of ``size`` seekers from ``begin`` on; the last block reaches back, with empty ranges.
 
-    Four ranges span the cells x - span to x + span of a row above; the first, in the bead's own
-    row, runs from the next slot to the end of x + span.
+    A range spans the cells x - span to x + span of its row; in the own row of the half stencil it
+    runs from the next slot to the end of x + span.
     """
     nx, ny, nz = grid.cells
-    at = jnp.minimum(begin, beads.cell.shape[0] - size)
+    stencil = HALF if grid.is_one_group else FULL
+    at = jnp.minimum(begin, seekers.cell.shape[0] - size)
     here = lambda column: jax.lax.dynamic_slice_in_dim(column, at, size)[:, None]
-    cell, home = here(beads.cell), here(beads.home)
-    row, x = _divided(cell, nx)
-    z, y = (c + ROWS[None, :, k] for c, k in zip(_divided(row, ny), (1, 0)))
+    row, x = _divided(here(seekers.cell), nx)
+    z, y = (c + stencil[None, :, k] for c, k in zip(_divided(row, ny), (1, 0)))
     turn_y, turn_z = ((c >= m).astype(jnp.int32) - (c < 0) for c, m in ((y, ny), (z, nz)))
     from_cell = ((z - turn_z * nz) * ny + y - turn_y * ny) * (nx + 2 * grid.span) + x
-    own = np.arange(len(ROWS))[None] == 0
-    start = jnp.where(own, home + 1, beads.first[from_cell])
+    start = rows.first[from_cell]
+    if grid.is_one_group:
+        start = jnp.where(np.arange(len(stencil))[None] == 0, here(rows.home) + 1, start)
     fresh = at + jnp.arange(size, dtype=jnp.int32)[:, None] >= begin
-    length = jnp.where(fresh, beads.first[from_cell + 2 * grid.span + 1] - start, 0)
+    length = jnp.where(fresh, rows.first[from_cell + 2 * grid.span + 1] - start, 0)
     lx, ly, lz = box.lengths
-    rx, ry, rz = (here(c) for c in beads.position)
+    rx, ry, rz = (here(c) for c in seekers.position)
     return Ranges(at, start, length, (rx - turn_y * (box.strain * ly), ry - turn_y * ly, rz - turn_z * lz))
 
 
@@ -250,14 +287,16 @@ def _bead_and_slot(grid, ranges: Ranges, word, bit):
     width = _width(grid)
     entry, part = _divided(word, grid.window // width)
     entry = jnp.minimum(entry, ranges.start.size - 1)
-    return ranges.bead + _divided(entry, len(ROWS))[0], ranges.start.ravel()[entry] + part * width + bit
+    return ranges.bead + _divided(entry, ranges.start.shape[1])[0], ranges.start.ravel()[entry] + part * width + bit
 
 
-def _ends(beads: Layout, bead, slot):
+def _ends(grid, seekers: Beads, rows: Rows, bead, slot):
     """Both beads of each pair as slots in memory, and whether they are to change places."""
-    a, b = beads.here[0][bead], beads.there[0][slot]
+    a, b = seekers.name[0][bead], rows.name[0][slot]
+    if not grid.is_one_group:
+        return a, b, jnp.full(a.shape, grid.few != grid.groups[0])
     # By id where there is one: it is the same wherever the beads are stored.
-    return a, b, beads.here[-1][bead] > beads.there[-1][slot]
+    return a, b, seekers.name[-1][bead] > rows.name[-1][slot]
 
 
 def _divided(number, by: int):

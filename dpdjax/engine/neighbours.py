@@ -1,6 +1,7 @@
 """Half lists of neighbours in jax-md's own type: their shape, their life and their protocol.
 
-The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format, under its
+A list holds the pairs within one group of beads, or those between two; a group is a range of
+slots. The lists are ``jax_md.partition.NeighborList`` in its ``OrderedSparse`` format, under its
 ``allocate``/``update`` protocol with the box passed at every update.
 """
 
@@ -21,6 +22,8 @@ from dpdjax.engine.batching import where_needed
 
 FINENESS = 4
 """Cells along x per cut: finer cells fit the ranges closer to what is within the cut."""
+FEW = 64
+"""Beads of the smaller group up to which all pairs are tried: sorting the larger one costs more (measured: tests/benchmarks)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +38,7 @@ class Grid:
         window: slots tested in each row of the stencil, a multiple of 8.
         capacity: pairs the list holds.
         sheared: whether the cells are wide enough for a tilted box.
+        groups: first slot and end of either group; twice the same for the pairs within one.
     """
 
     reach: float
@@ -43,7 +47,22 @@ class Grid:
     span: int
     window: int
     capacity: int
-    sheared: bool = True
+    sheared: bool
+    groups: tuple[tuple[int, int], tuple[int, int]]
+
+    @property
+    def is_one_group(self) -> bool:
+        return self.groups[0] == self.groups[1]
+
+    @property
+    def few(self) -> tuple[int, int]:
+        """The smaller group."""
+        return min(self.groups, key=_count)
+
+    @property
+    def many(self) -> tuple[int, int]:
+        """The larger group; of two equal ones the second."""
+        return self.groups[0] if self.few != self.groups[0] else self.groups[1]
 
     @property
     def cut(self) -> float:
@@ -59,39 +78,57 @@ class Grid:
         )
 
 
-def plan_grid(n: int, lengths, reach: float, skin: float, sheared: bool = True) -> Grid:
-    """A grid for ``n`` beads spread evenly; clustered beads make it grow later.
+def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, room: float = 1.03) -> Grid:
+    """A grid for beads spread evenly; clustered beads make it grow later.
+
+    Args:
+        groups: number of beads for the pairs among all of them; or first slot and end of each of two groups.
+        lengths: sides of the box (3,) [length].
+        reach, skin, sheared: see :class:`Grid`.
+        room: pairs there is room for, over those of beads without structure.
 
     Raises ValueError where a side is below ``2 (reach + skin)``: the nearest image
     would not be the only one.
     """
+    groups = ((0, groups), (0, groups)) if np.ndim(groups) == 0 else tuple((int(a), int(b)) for a, b in groups)
     lengths = np.asarray(lengths, float)
     cut = reach + skin
-    if np.any(boxes.narrowest(lengths, sheared) < 2 * cut * (1 - 1e-6)) :
+    if np.any(boxes.narrowest(lengths, sheared) < 2 * cut * (1 - 1e-6)):
         raise ValueError(
             f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * cut:.4g}"
             f"{' (a tilted side counts 0.89)' if sheared else ''}; use a side of at least "
             f"{2 * cut * (np.hypot(1, 0.5) if sheared else 1):.4g} or a smaller skin"
         )
-    capacity = _capacity(n, n / lengths.prod(), cut)
+    all_pairs = Grid(reach, skin, None, 0, 0, 0, sheared, groups)
+    few, many = _count(all_pairs.few), _count(all_pairs.many)
+    capacity = _capacity(all_pairs.is_one_group, few, many, (4 / 3) * math.pi * cut**3 / lengths.prod(), room)
+    all_pairs = dataclasses.replace(all_pairs, capacity=capacity)
     shape = np.floor(boxes.narrowest(lengths, sheared) / cut * (1 + 1e-6)).astype(int)
-    if np.any(shape < 3) or n < 200:
-        return Grid(reach, skin, None, 0, 0, capacity, sheared)
+    if np.any(shape < 3) or many < 200 or few <= FEW:
+        return all_pairs
     # More rows than the beads fill cost more to index than they save.
-    most = max(3, int(np.cbrt(n / 2)) + 1)
+    most = max(3, int(np.cbrt(many / 2)) + 1)
     shape = np.minimum(shape, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))).astype(int)
     shape[0] *= FINENESS
     span = math.ceil(shape[0] * cut / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
-    per_range = (2 * span + 1) * n / shape.prod()
+    per_range = (2 * span + 1) * many / shape.prod()
     window = _whole_words(int(per_range + 5 * math.sqrt(per_range)))
-    return Grid(reach, skin, tuple(int(c) for c in shape), span, window, capacity, sheared)
+    return dataclasses.replace(all_pairs, cells=tuple(int(c) for c in shape), span=span, window=window)
 
 
-def _capacity(n: int, density: float, cut: float) -> int:
-    """Room for the pairs of beads without structure and six standard deviations more, but no more than there are."""
-    pairs = 0.5 * n * density * (4 / 3) * math.pi * cut**3
-    room = cells.stretch(n) * (1.03 * pairs + 6 * math.sqrt(pairs)) + 64
-    return min(cells.rounded(room), max(n * (n - 1) // 2, 1))
+def _count(group) -> int:
+    return group[1] - group[0]
+
+
+def _capacity(one_group: bool, few: int, many: int, share: float, room: float) -> int:
+    """``room`` times the pairs of beads without structure and six standard deviations more, but no more than there are.
+
+    ``share``: of all beads, those within the cut of one.
+    """
+    there = few * (few - 1) // 2 if one_group else few * many
+    pairs = share * (0.5 * few * many if one_group else there)
+    wanted = cells.stretch(few) * (room * pairs + 6 * math.sqrt(pairs)) + 64
+    return min(cells.rounded(wanted), max(there, 1))
 
 
 def _whole_words(slots: int) -> int:
@@ -120,8 +157,8 @@ class Neighbours:
 def allocate(grid: Grid, box: boxes.Box, position, ids=None) -> Neighbours:
     """A fresh list of the pairs within ``reach + skin``. jit and vmap safe.
 
-    ``ids`` (n,), a permutation: the pairs come in the order, and each with its beads the way round,
-    that beads stored by id would give. By default the beads are.
+    ``ids`` (n,), a permutation within each group: the pairs come in the order, and each with its beads
+    the way round, that beads stored by id would give. By default the beads are.
     """
     idx, (pairs, windows) = build_pairs(grid, box, position, ids)
     code = pairs.astype(jnp.uint8) + 2 * windows.astype(jnp.uint8)
@@ -173,18 +210,23 @@ def updater(grid: Grid):
 def is_stale(neighbours: Neighbours, box: boxes.Box, position):
     """Whether a pair inside the reach may be missing from the list.
 
-    Twice the largest non-affine displacement since the build, plus what the strain
-    since then adds to a pair at the reach, against the skin.
+    The largest non-affine displacements since the build of either group together (of one group twice
+    its own), plus what the strain since then adds to a pair at the reach, against the skin.
     """
-    grid, reference = neighbours.grid, neighbours.list.reference_position
+    grid = neighbours.grid
     period = box.lengths[0] / box.lengths[1]
     strain = box.strain - neighbours.strain
     strain = strain - period * jnp.round(strain / period)
-    affine = strain * reference[:, 1]
-    d = position - reference
-    dx, dy, dz = boxes.minimum_image(box, d[:, 0] - affine, d[:, 1], d[:, 2])
-    moved = jnp.sqrt(jnp.max(dx * dx + dy * dy + dz * dz))
-    return 2.0 * moved + jnp.abs(strain) * grid.cut > grid.skin
+
+    def farthest(group):
+        now, reference = (x[group[0] : group[1]] for x in (position, neighbours.list.reference_position))
+        affine = strain * reference[:, 1]
+        d = now - reference
+        dx, dy, dz = boxes.minimum_image(box, d[:, 0] - affine, d[:, 1], d[:, 2])
+        return jnp.sqrt(jnp.max(dx * dx + dy * dy + dz * dz))
+
+    moved = 2.0 * farthest(grid.few) if grid.is_one_group else farthest(grid.few) + farthest(grid.many)
+    return moved + jnp.abs(strain) * grid.cut > grid.skin
 
 
 def update(neighbours: Neighbours, box: boxes.Box, position, ids=None) -> Neighbours:
@@ -227,5 +269,5 @@ def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:
 def build_pairs(grid: Grid, box: boxes.Box, position, ids=None):
     """All pairs within ``reach + skin``: indices (2, capacity), and (pairs, windows) overflow."""
     if grid.cells is None:
-        return cells.all_pairs(grid, box, position)
+        return cells.all_pairs(grid, box, position, ids)
     return cells.cell_pairs(grid, box, position, ids)

@@ -20,7 +20,23 @@ LASTS = 100
 
 def is_kept(state: State) -> bool:
     """Whether a run of this state sorts its beads (static)."""
-    return state.n >= SMALLEST and all(n.grid.cells is not None for n in state.neighbours)
+    return bool(_sorted_parts(state))
+
+
+def _sorted_parts(state: State) -> dict:
+    """The ranges of slots that are sorted, each with the grid that says how (static).
+
+    A group of any list stays together, so beads are sorted within the parts that the groups have in common.
+    """
+    edges = sorted({edge for n in state.neighbours for group in n.grid.groups for edge in group})
+    grids = [n.grid for n in state.neighbours if n.grid.cells is not None]
+    covers = lambda grid, begin, end: any(a <= begin and end <= b for a, b in grid.groups)
+    parts = {}
+    for begin, end in zip(edges, edges[1:]):
+        grid = next((grid for grid in grids if covers(grid, begin, end)), None)
+        if grid is not None and end - begin >= SMALLEST:
+            parts[begin, end] = grid
+    return parts
 
 
 def list_ids(state: State):
@@ -29,12 +45,16 @@ def list_ids(state: State):
 
 
 def in_cell_order(state: State) -> State:
-    """The same beads, sorted by the cells of the first list; small boxes are left alone."""
-    if not is_kept(state):
+    """The same beads, those of large groups sorted by the cells of their first list; small boxes are left alone."""
+    parts = _sorted_parts(state)
+    if not parts:
         return state
-    grid = state.neighbours[0].grid
     position = jax.lax.stop_gradient(state.position)
-    return permuted(state, cells.cell_order(grid, state.box, position, state.id))
+    order = jnp.arange(state.n, dtype=jnp.int32)
+    for (begin, end), grid in parts.items():
+        part = cells.cell_order(grid, state.box, position[begin:end], state.id[begin:end])
+        order = order.at[begin:end].set(begin + part)
+    return permuted(state, order)
 
 
 def in_order_of(state: State, ids) -> State:

@@ -12,7 +12,7 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine.box import Box
 from dpdjax.engine.state import State, Tally
 
-FORMAT = 2
+FORMAT = 3
 ARRAYS = ("position", "velocity", "force", "image", "id", "species", "step", "time", "started", "status")
 
 
@@ -67,8 +67,8 @@ def _assembled(saved, grids) -> State:
 
 
 def _list(saved, k, fields):
-    cells = fields["cells"]
-    grid = lists.Grid(**{**fields, "cells": tuple(cells) if cells else None})
+    cells, groups = fields["cells"], tuple(tuple(group) for group in fields["groups"])
+    grid = lists.Grid(**{**fields, "cells": tuple(cells) if cells else None, "groups": groups})
     return lists.restore(
         grid, saved[f"list{k}_pairs"], saved[f"list{k}_reference"], saved[f"list{k}_code"], saved[f"list{k}_strain"]
     )
