@@ -7,12 +7,20 @@ import importlib
 
 _HOMES = {
     "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag"],
-    "dpdjax.model.term": ["Term", "term"],
-    "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid"],
+    "dpdjax.model.colloid_laws": [
+        "asakura_oosawa", "balanced_cut", "balanced_drag", "balanced_repulsion", "contact", "literal_drag", "literal_noise",
+        "morse", "scaled_contact", "scripts_repulsion", "squeezing_lubrication", "unequal_lubrication", "yukawa",
+    ],
+    "dpdjax.model.term": ["Term", "reaches", "term"],
+    "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid", "interaction"],
+    "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
-    "dpdjax.engine.flow": ["shear", "body_force", "sinusoidal_force", "constant_field"],
-    "dpdjax.engine.state": ["State", "initial_state", "grow", "suggest_dt", "suggest_skin"],
+    "dpdjax.engine.flow": ["shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field"],
+    "dpdjax.engine.advice": ["suggest_dt", "suggest_skin"],
+    "dpdjax.engine.state": ["State", "grow"],
+    "dpdjax.engine.start": ["initial_state"],
+    "dpdjax.engine.suspension": ["Suspension", "suspension"],
     "dpdjax.engine.record": ["mean", "integral"],
     "dpdjax.engine.simulate": ["Plan", "Trajectory", "simulate"],
     "dpdjax.engine.observables": [

@@ -1,5 +1,7 @@
 """Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run."""
 
+import pathlib
+
 import jax
 import pytest
 
@@ -78,3 +80,16 @@ def quiet_water(equilibrated, water):
 def sheared_water(equilibrated, water):
     """Water sheared at rate 1, the box at strain 2 (wrapped twice)."""
     return equilibrated(water, dpd.shear(1.0))
+
+
+MOST_MAPPINGS = 30_000
+"""Memory mappings of the process from which compiled programs are dropped; Linux allows 65,530."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs():
+    """Every compiled program takes some mappings, and a process that runs out of them is aborted."""
+    yield
+    maps = pathlib.Path("/proc/self/maps")
+    if maps.exists() and maps.read_text().count("\n") > MOST_MAPPINGS:
+        jax.clear_caches()

@@ -48,7 +48,7 @@ def test_engine_force_is_minus_the_slope_of_the_energy():
     force, tally = force_on_first(fluid, pair(0.4))
     np.testing.assert_allclose(force, [25.0 * 0.6, 0.0, 0.0], atol=1e-13)
     np.testing.assert_allclose(tally.energy, 0.5 * 25.0 * 0.6**2)
-    np.testing.assert_allclose(tally.conservative[0, 0], 0.4 * 25.0 * 0.6)
+    np.testing.assert_allclose(tally.virial["conservative"][0, 0], 0.4 * 25.0 * 0.6)
 
 
 def test_drag_opposes_the_relative_velocity_and_sets_the_noise():

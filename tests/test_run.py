@@ -10,6 +10,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import neighbours as lists
+from dpdjax.host import io
 
 host = sys.modules[dpd.run.__module__]
 chunk_frames = host.chunk_frames
@@ -213,7 +214,7 @@ def test_file_that_is_no_state(tmp_path, state):
     with pytest.raises(FileNotFoundError):
         dpd.load_state(tmp_path / "nowhere.npz")
     np.savez(tmp_path / "future.npz", meta='{"format": 99, "grids": []}')
-    with pytest.raises(ValueError, match="future.npz has format 99, this version reads 2"):
+    with pytest.raises(ValueError, match=f"future.npz has format 99, this version reads {io.FORMAT}"):
         dpd.load_state(tmp_path / "future.npz")
     dpd.save_state(tmp_path / "state.npz", state)
     with np.load(tmp_path / "state.npz") as file:

@@ -252,7 +252,7 @@ def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point
 
 
 def _bench(fluid, goal, key, density, box, boxes, dt):
-    side = 10.0 * max(i.reach for i in fluid.interactions) if box is None else box
+    side = 10.0 * max(fluid.reaches()) if box is None else box
     return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt)
 
 
@@ -304,7 +304,7 @@ def drag_guess(fluid, viscosity: float, density: float) -> float:
     Kinetic theory for the weight exponent 2 (Marsh et al. 1997); 30-40 % off, and good
     enough to begin with.
     """
-    reach = max(interaction.reach for interaction in fluid.interactions)
+    reach = max(fluid.reaches())
     return 1575.0 * viscosity / (2 * math.pi * density**2 * reach**5)
 
 

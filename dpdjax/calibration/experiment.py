@@ -11,13 +11,15 @@ import numpy as np
 
 from dpdjax.calibration.goal import Goal
 from dpdjax.engine import status as bits
+from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed
 from dpdjax.engine.flow import quiet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.simulate import Plan, advance, check_dt
-from dpdjax.engine.state import damping_rate, grow, initial_state, suggest_dt, suggest_skin
+from dpdjax.engine.start import initial_state
+from dpdjax.engine.state import grow
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
 
@@ -67,7 +69,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     step = suggest_dt(fluid, density) if dt is None else dt
     skin = suggest_skin(fluid, step)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
-    state = jax.vmap(build)(jax.random.split(build_key, boxes))
+    state = each_member(build)(jax.random.split(build_key, boxes))
     _check_dt(fluid, state, step)
     keys = jax.random.split(noise_key, boxes)
     thermal = thermal_time(fluid)
@@ -82,8 +84,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
 
 def thermal_time(fluid) -> float:
     """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach."""
-    reach = min(interaction.reach for interaction in fluid.interactions)
-    return reach * math.sqrt(float(jnp.min(fluid.mass)) / float(fluid.kT))
+    return min(fluid.reaches()) * math.sqrt(float(jnp.min(fluid.mass)) / float(fluid.kT))
 
 
 @dataclasses.dataclass(frozen=True)

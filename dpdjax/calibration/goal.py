@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import flow as flows
+from dpdjax.engine.advice import damping_rate
 from dpdjax.engine.observables import pressure_by_origin, pressure_tensor, temperature
-from dpdjax.engine.state import damping_rate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +43,7 @@ def viscosity_goal(target: float, rate: float) -> Goal:
 def _shear_stress(fluid, state):
     return {
         "value": pressure_tensor(fluid, state)[0, 1],
-        "noise": state.tally.random[0, 1] / state.box.volume,
+        "noise": state.tally.virial["random"][0, 1] / state.box.volume,
         "temperature": temperature(fluid, state),
     }
 
@@ -86,7 +86,7 @@ def rough_viscosity(fluid, density: float) -> float:
     """Kinetic theory without correlations, ``rho D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
     omega = damped(fluid, density)
     mass, kT = float(np.min(fluid.mass)), float(fluid.kT)
-    reach = max(interaction.reach for interaction in fluid.interactions)
+    reach = max(fluid.reaches())
     # For zeta = gamma w^2: omega = 4 pi gamma rho r_c^3 / 90 m, and the drag stress is in the same ratio to it.
     drag = omega * mass * density * reach**2 * (2 * math.pi / 1575) / (4 * math.pi / 90)
     return 0.5 * density * kT / (mass * omega) + drag

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.engine import neighbours as lists
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.simulate import Plan, advance
@@ -36,10 +37,10 @@ def batched(state: State, key) -> State:
 def complete_lists(state: State) -> State:
     """The state with lists large enough for where the beads are now, and a clear status."""
     for _ in range(MAX_GROWTHS):
-        codes = [np.asarray(n.list.error.code) for n in state.neighbours]
-        if not any(np.any(c) for c in codes):
+        codes = [lists.overflow(n) for n in state.neighbours]
+        if not any(codes):
             break
-        state = grow(state, any(np.any(c & 1) for c in codes), any(np.any(c & 2) for c in codes))
+        state = grow(state, codes)
     return dataclasses.replace(state, status=jnp.zeros_like(state.status))
 
 
@@ -54,7 +55,7 @@ def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam
         status = np.bitwise_or.reduce(np.asarray(after.status).ravel())
         if not status & bits.OVERFLOWS:
             return after, frames
-        state = grow(state, bool(status & bits.PAIRS_OVERFLOW), bool(status & bits.WINDOW_OVERFLOW))
+        state = grow(state, [lists.overflow(n) for n in after.neighbours])
     return after, frames
 
 

@@ -7,50 +7,88 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from dpdjax.checks import number
+from dpdjax.checks import number, positive
+
+
+class Flow:
+    """What every flow answers; by default there is none.
+
+    Attributes:
+        rate: the shear rate; the largest where it changes [1/time].
+    """
+
+    rate: Any
+
+    def rate_at(self, time):
+        """Shear rate at a time [1/time]."""
+        return self.rate
+
+    def strain_in(self, time, dt):
+        """Shear strain of the step that begins at ``time``."""
+        return self.rate * dt
+
+    def force(self, state, mass):
+        """Force on each bead (n, 3), or None."""
+        return None
+
+    def batch_axes(self):
+        """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
+        return None
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Quiet:
+class Quiet(Flow):
     """No flow."""
 
     rate: float = dataclasses.field(default=0.0, metadata={"static": True})
 
-    def force(self, state, mass):
-        return None
-
-    def batch_axes(self):
-        return None
-
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Shear:
+class Shear(Flow):
     """Steady homogeneous shear ``u_x = rate y`` by Lees-Edwards boundaries."""
 
     rate: Any
 
-    def force(self, state, mass):
-        return None
-
     def batch_axes(self):
-        """The ``in_axes`` for ``jax.vmap``: a rate with an axis is a batch of rates."""
         return Shear(0) if jnp.ndim(self.rate) == 1 else None
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class BodyForce:
+class Oscillation(Flow):
+    """Homogeneous shear of strain ``amplitude sin(frequency time)``; see :func:`oscillatory_shear`."""
+
+    amplitude: Any
+    frequency: Any
+
+    @property
+    def rate(self):
+        return self.amplitude * self.frequency
+
+    def rate_at(self, time):
+        return self.rate * jnp.cos(self.frequency * time)
+
+    def strain_in(self, time, dt):
+        # The difference of two sines as a product, which rounds less.
+        half = 0.5 * self.frequency * dt
+        return 2.0 * self.amplitude * jnp.sin(half) * jnp.cos(self.frequency * time + half)
+
+    def batch_axes(self):
+        axes = [0 if jnp.ndim(x) == 1 else None for x in (self.amplitude, self.frequency)]
+        return None if axes == [None, None] else Oscillation(*axes)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BodyForce(Flow):
     """A force on every bead, ``field(position, time, **numbers)``; see :func:`body_force`."""
 
     field: Callable = dataclasses.field(metadata={"static": True})
     numbers: dict[str, Any]
     balance: bool = dataclasses.field(default=True, metadata={"static": True})
     rate: float = dataclasses.field(default=0.0, metadata={"static": True})
-
-    def batch_axes(self):
-        return None
 
     def force(self, state, mass):
         """Force on each bead (n, 3), less its mean acceleration where balanced."""
@@ -72,6 +110,15 @@ def shear(rate) -> Shear:
     Velocities in the state are peculiar: relative to the streaming velocity.
     """
     return Shear(number(rate, "rate"))
+
+
+def oscillatory_shear(amplitude, frequency) -> Oscillation:
+    """Shear of strain ``amplitude sin(frequency t)``, t the time of the state, under Lees-Edwards boundaries.
+
+    The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to wait for.
+    ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.moduli`.
+    """
+    return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
 
 
 def body_force(field: Callable, *, balance: bool = True, **numbers) -> BodyForce:

@@ -69,12 +69,15 @@ class Grid:
         """Distance up to which pairs are listed [length]."""
         return self.reach + self.skin
 
-    def grown(self, pairs: bool, windows: bool) -> "Grid":
-        """A grid with a quarter more of what overflowed: every step pays for room that is not used."""
+    def grown(self, code: int = 3) -> "Grid":
+        """A grid with a quarter more of what overflowed: every step pays for room that is not used.
+
+        ``code``: 1 for the pairs, 2 for the windows, as in the list's error.
+        """
         return dataclasses.replace(
             self,
-            capacity=cells.rounded(1.25 * self.capacity) if pairs else self.capacity,
-            window=_whole_words(int(1.25 * self.window)) if windows else self.window,
+            capacity=cells.rounded(1.25 * self.capacity) if code & 1 else self.capacity,
+            window=_whole_words(int(1.25 * self.window)) if code & 2 and self.window else self.window,
         )
 
 
@@ -248,6 +251,11 @@ def _rebuild_where(grid: Grid):
 
 def _with_error(neighbour_list, code):
     return dataclasses.replace(neighbour_list, error=dataclasses.replace(neighbour_list.error, code=code))
+
+
+def overflow(neighbours: Neighbours) -> int:
+    """What of a list has overflowed, in any member of a batch: 0, or the code of :meth:`Grid.grown`; needs known values."""
+    return int(np.bitwise_or.reduce(np.asarray(neighbours.list.error.code).ravel()))
 
 
 def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:

@@ -4,49 +4,46 @@ A run evaluates them inside its compiled loop. Stresses are kept as pressure ten
 (positive in compression), apart by origin; under shear all velocities are peculiar.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine.forces import Beads, evaluate, pair_geometry, sum_onto_beads
+from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
+from dpdjax.engine.state import masses
 
 
 def kinetic_pressure(fluid, state):
     """``sum m c c / V`` from peculiar velocities, (3, 3) [energy / volume]."""
-    weighted = fluid.mass[state.species][:, None] * state.velocity
+    weighted = masses(fluid, state)[:, None] * state.velocity
     return jnp.einsum("na,nb->ab", weighted, state.velocity) / state.box.volume
 
 
 def pressure_by_origin(fluid, state) -> dict:
-    """The pressure tensor by origin, (3, 3) each: kinetic, conservative, drag, random."""
-    tally, volume = state.tally, state.box.volume
-    return {
-        "kinetic": kinetic_pressure(fluid, state),
-        "conservative": tally.conservative / volume,
-        "drag": tally.drag / volume,
-        "random": tally.random / volume,
-    }
+    """The pressure tensor by origin, (3, 3) each: kinetic, conservative, drag, random and what terms have names for."""
+    pairs = {origin: virial / state.box.volume for origin, virial in state.tally.virial.items()}
+    return {"kinetic": kinetic_pressure(fluid, state)} | pairs
 
 
 def pressure_tensor(fluid, state):
-    """Kinetic + conservative + drag; the random part has mean zero and is only noise."""
-    parts = pressure_by_origin(fluid, state)
-    return parts["kinetic"] + parts["conservative"] + parts["drag"]
+    """All but the random part, which has mean zero and is only noise."""
+    return sum(p for origin, p in pressure_by_origin(fluid, state).items() if origin != "random")
 
 
 def total_pressure(fluid, state):
     """The whole momentum flux, random part included, for integrals over time."""
-    return pressure_tensor(fluid, state) + state.tally.random / state.box.volume
+    return pressure_tensor(fluid, state) + state.tally.virial["random"] / state.box.volume
 
 
 def temperature(fluid, state):
     """Kinetic temperature ``sum m c^2 / (3 n - 3)`` [energy]; three momenta are fixed."""
-    twice = jnp.sum(fluid.mass[state.species][:, None] * state.velocity**2)
+    twice = jnp.sum(masses(fluid, state)[:, None] * state.velocity**2)
     return twice / (3 * state.position.shape[0] - 3)
 
 
 def momentum(fluid, state):
     """Total peculiar momentum (3,)."""
-    return jnp.sum(fluid.mass[state.species][:, None] * state.velocity, axis=0)
+    return jnp.sum(masses(fluid, state)[:, None] * state.velocity, axis=0)
 
 
 def standard(fluid, state) -> dict:
@@ -69,10 +66,38 @@ def positions(fluid, state) -> dict:
     return {"position": state.position, "unwrapped": state.unwrapped, "velocity": state.velocity}
 
 
-def _geometries(fluid, state):
-    beads = Beads.of(state, state.velocity)
+@functools.cache
+def positions_of(species: int):
+    """An observable like :func:`positions` of the beads of one species alone, with the ``strain`` of the box.
+
+    Unwrapped positions are right without shear. A run raises ValueError where no interaction of the fluid has
+    this species as a group of its own.
+    """
+
+    def positions_of_species(fluid, state) -> dict:
+        begin, end = _slots(fluid, state, species)
+        return {name: x[begin:end] for name, x in positions(fluid, state).items()} | {"strain": state.box.strain}
+
+    return positions_of_species
+
+
+def _slots(fluid, state, species: int) -> tuple[int, int]:
+    """First slot and end of the beads of a species, known while tracing: beads of a species lie together."""
     for interaction, neighbours in zip(fluid.interactions, state.neighbours):
-        yield interaction, pair_geometry(state.box, beads, neighbours.list.idx, 0.0)
+        for group, slots in zip(interaction.groups, neighbours.grid.groups):
+            if group == (species,):
+                return slots
+    groups = sorted({group for interaction in fluid.interactions for group in interaction.groups})
+    raise ValueError(
+        f"species {species} is no group of its own, the groups of this fluid are {', '.join(map(str, groups))}; "
+        f"give it an interaction of its own, dpd.interaction(({species}, {species}), ...), or use observe=dpd.positions"
+    )
+
+
+def _geometries(fluid, state):
+    beads = Beads.of(fluid, state, state.velocity)
+    for interaction, neighbours in zip(fluid.interactions, state.neighbours):
+        yield interaction, geometry(fluid, state.box, beads, interaction, neighbours.list.idx, 0.0)
 
 
 def configurational_temperature(fluid, state):
@@ -83,8 +108,8 @@ def configurational_temperature(fluid, state):
     n = state.position.shape[0]
     gradient, laplacian = jnp.zeros_like(state.position), 0.0
     for interaction, pairs in _geometries(fluid, state):
-        force = lambda r: evaluate(interaction.conservative, pairs._replace(r=r), derivative=True)[1]
-        f, slope = jax.jvp(force, (pairs.r,), (jnp.ones_like(pairs.r),))
+        force = lambda h: evaluate(interaction.conservative, pairs._replace(h=h), fluid.kT, derivative=True)[1]
+        f, slope = jax.jvp(force, (pairs.h,), (jnp.ones_like(pairs.h),))
         gradient += sum_onto_beads(pairs, f, n)
         curvature = -slope - 2 * f / jnp.where(pairs.real, pairs.r, 1.0)
         laplacian += 2 * jnp.sum(jnp.where(pairs.real, curvature, 0.0))
@@ -98,7 +123,7 @@ def instantaneous_viscosity(fluid, state):
     """
     total = 0.0
     for interaction, pairs in _geometries(fluid, state):
-        zeta = evaluate(interaction.drag, pairs, derivative=False)
+        zeta = evaluate(interaction.drag, pairs, fluid.kT, derivative=False)
         x, y, z = (e * e for e in pairs.e)
         r = jnp.where(pairs.real, pairs.r, 0.0)
         total += jnp.sum(zeta * r * r * (x * y + x * z + y * z)) / 3.0

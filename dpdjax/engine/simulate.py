@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
+from dpdjax.engine import advice, order
 from dpdjax.engine import flow as flows
-from dpdjax.engine import order
 from dpdjax.engine import status as bits
 from dpdjax.engine.record import Recorder, recorders
-from dpdjax.engine.state import State, damping_rate, pair_frequency, suggest_dt
+from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
 from dpdjax.model.fluid import Fluid
 
@@ -182,11 +182,13 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
 def list_trouble(fluid, state):
     """Bits for lists that overflowed, that are too short for the laws, or too wide for the box."""
     trouble = jnp.zeros((), jnp.uint32)
+    radius = radii(fluid, state)
     for interaction, neighbours in zip(fluid.interactions, state.neighbours):
         code = neighbours.list.error.code
         grid = neighbours.grid
         trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag((code & 2) > 0, bits.WINDOW_OVERFLOW)
-        reach = jnp.stack([jnp.max(t.reach) for t in interaction.terms])
+        largest = [jnp.max(radius[begin:end]) for begin, end in grid.groups]
+        reach = jnp.stack([jnp.max(r) for r in interaction.reaches(*largest, fluid.kT)])
         trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
         sides = state.box.lengths
         trouble |= bits.flag(jnp.any(sides < 2 * grid.cut * (1 - 1e-5)), bits.BOX_TOO_SMALL)
@@ -216,11 +218,16 @@ def check_run(fluid, state, key, dt, flow):
     lists, wanted = len(state.neighbours), len(fluid.interactions)
     if lists != wanted:
         raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
-    if isinstance(flow, flows.Shear) and not all(n.grid.sheared for n in state.neighbours):
+    if isinstance(flow, flows.Shear | flows.Oscillation) and not all(n.grid.sheared for n in state.neighbours):
         raise ValueError("this state was made with sheared=False and its lists miss pairs of a tilted box: make it without")
     highest = int(np.max(np.asarray(state.species), initial=0)) if is_concrete(state.species) else 0
     if highest >= fluid.species:
         raise ValueError(f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}")
+    if set(state.tally.virial) != set(fluid.origins):
+        raise ValueError(
+            f"the state keeps stresses as {', '.join(state.tally.virial)}, the fluid as {', '.join(fluid.origins)}: "
+            "make the state with this fluid"
+        )
     check_dt(fluid, state, dt)
     check_period(flow, state)
 
@@ -248,21 +255,15 @@ def check_plan(plan):
 
 
 def check_dt(fluid, state, dt):
-    """Refuse a time step at which the drag or the repulsion of a bead would overshoot."""
-    if not is_concrete(fluid, dt, state.box.lengths):
+    """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot."""
+    if not is_concrete(fluid, dt, state.box.lengths, state.species):
         return
-    # numpy all the way: under jit even constants would be staged.
-    lightest = np.min(np.asarray(fluid.mass))
-    fluid = jax.tree.map(lambda leaf: np.max(np.asarray(leaf)), fluid)
-    fluid = dataclasses.replace(fluid, mass=lightest[None])
     largest = float(np.max(np.asarray(dt)))
-    density = state.n / float(np.prod(np.asarray(state.box.lengths)))
-    for force, what, rate in (
-        ("drag", "damping rate", damping_rate(fluid, density)),
-        ("conservative force", "frequency of a pair", pair_frequency(fluid)),
-    ):
-        if largest * rate > 0.5:
+    counts = np.bincount(np.asarray(state.species), minlength=fluid.species)
+    density = counts / float(np.prod(np.asarray(state.box.lengths)))
+    for what, limit in advice.dt_limits(fluid, density):
+        if largest > limit:
             raise ValueError(
-                f"dt {largest:.4g} is too large for the {force}: dt x {what} is {largest * rate:.3g}, at most 0.5 "
-                f"is stable; use dt = {suggest_dt(fluid, density):.2g} (temperature error 0.5 %)"
+                f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
+                f"use dt = {advice.suggest_dt(fluid, density):.2g} (temperature error 0.5 %)"
             )

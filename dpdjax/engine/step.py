@@ -10,14 +10,14 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine.batching import any_in_batch
 from dpdjax.engine.forces import pair_force
-from dpdjax.engine.state import State
+from dpdjax.engine.state import State, masses
 
 
 def total_force(fluid, state: State, velocity, key, dt, flow, tally):
     """Pair and body forces at the state's positions, with drag from ``velocity``."""
     with jax.named_scope("forces"):
-        force, sums = pair_force(fluid, state, velocity, flow.rate, key, dt, tally)
-        body = flow.force(state, fluid.mass[state.species][:, None])
+        force, sums = pair_force(fluid, state, velocity, flow.rate_at(state.time), key, dt, tally)
+        body = flow.force(state, masses(fluid, state)[:, None])
     return (force if body is None else force + body), (sums if tally else state.tally)
 
 
@@ -47,7 +47,7 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     | in the method                       | here                                   |
     |-------------------------------------|----------------------------------------|
     | r += dt v + dt^2 f / 2m             | ``move``, with v = c + rate y e_x      |
-    | strain += rate dt                   | ``box.strained``                       |
+    | strain += rate dt                   | ``flow.strain_in``, ``box.strained``   |
     | v~ = v + lambda dt f / m            | ``predicted``                          |
     | f' = F(r, v~), noise of step + 1    | ``total_force``                        |
     | v += dt (f + f') / 2m               | ``velocity``                           |
@@ -56,24 +56,28 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     velocity loses ``rate dy`` along x: the exact rewriting of the lab-frame step, with no
     jump when a bead crosses the boundary. ``tally`` (static): keep the sums over pairs.
     """
-    mass = fluid.mass[state.species][:, None]
+    mass = masses(fluid, state)[:, None]
     kick = dt * state.force / mass
     with jax.named_scope("integration"):
-        streaming = flow.rate * state.position[:, 1]
+        strain = flow.strain_in(state.time, dt)
         move = dt * state.velocity + 0.5 * dt * kick
-        carried = state.velocity - _along_x(flow.rate * move[:, 1])
-        position = state.position + move + _along_x(dt * streaming)
-        box = state.box.strained(flow.rate * dt)
+        carried = state.velocity - _along_x(strain / dt * move[:, 1])
+        position = state.position + move + _along_x(strain * state.position[:, 1])
+        box = state.box.strained(strain)
         position, crossed = boxes.wrap(box, position)
-    moved = update_lists(
-        dataclasses.replace(
-            state, position=position, image=state.image + crossed, box=box, step=state.step + 1, time=state.time + dt
-        )
-    )
+    moved = dataclasses.replace(state, position=position, image=state.image + crossed, box=box, step=state.step + 1)
+    moved = update_lists(_later(moved, dt))
     predicted = carried + lam * kick
     force, sums = total_force(fluid, moved, predicted, key, dt, flow, tally)
     velocity = carried + 0.5 * (kick + dt * force / mass)
     return dataclasses.replace(moved, velocity=velocity, force=force, tally=sums)
+
+
+def _later(state: State, dt) -> State:
+    """The state at ``time + dt``, by compensated summation: plain sums of small steps stop growing."""
+    increment = dt + state.time_rest
+    time = state.time + increment
+    return dataclasses.replace(state, time=time, time_rest=increment - (time - state.time))
 
 
 def _along_x(values):

@@ -13,7 +13,7 @@ from dpdjax.engine.box import Box
 from dpdjax.engine.state import State, Tally
 
 FORMAT = 3
-ARRAYS = ("position", "velocity", "force", "image", "id", "species", "step", "time", "started", "status")
+ARRAYS = ("position", "velocity", "force", "image", "id", "species", "size", "step", "time", "time_rest", "started", "status")
 
 
 def save_state(path, state: State) -> None:
@@ -23,7 +23,8 @@ def save_state(path, state: State) -> None:
     """
     arrays = {name: np.asarray(getattr(state, name)) for name in ARRAYS}
     arrays |= {"box_lengths": np.asarray(state.box.lengths), "box_strain": np.asarray(state.box.strain)}
-    arrays |= {f"tally_{f.name}": np.asarray(getattr(state.tally, f.name)) for f in dataclasses.fields(Tally)}
+    arrays |= {"tally_energy": np.asarray(state.tally.energy)}
+    arrays |= {f"tally_virial_{origin}": np.asarray(v) for origin, v in state.tally.virial.items()}
     for k, n in enumerate(state.neighbours):
         arrays |= {
             f"list{k}_pairs": np.asarray(n.list.idx),
@@ -33,7 +34,8 @@ def save_state(path, state: State) -> None:
         }
     grids = [dataclasses.asdict(n.grid) for n in state.neighbours]
     with open(path, "wb") as file:
-        np.savez_compressed(file, meta=json.dumps({"format": FORMAT, "grids": grids}), **arrays)
+        meta = {"format": FORMAT, "grids": grids, "origins": list(state.tally.virial)}
+        np.savez_compressed(file, meta=json.dumps(meta), **arrays)
 
 
 def load_state(path) -> State:
@@ -52,17 +54,17 @@ def load_state(path) -> State:
     if saved["position"].dtype == np.float64 and not jax.config.jax_enable_x64:
         raise ValueError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
     try:
-        return _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta["grids"])
+        return _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta)
     except KeyError as error:
         raise ValueError(f"{path} lacks the array {error}; save the state again with dpd.save_state") from error
 
 
-def _assembled(saved, grids) -> State:
+def _assembled(saved, meta) -> State:
     return State(
         **{name: saved[name] for name in ARRAYS},
         box=Box(saved["box_lengths"], saved["box_strain"]),
-        neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(grids)),
-        tally=Tally(*(saved[f"tally_{f.name}"] for f in dataclasses.fields(Tally))),
+        neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(meta["grids"])),
+        tally=Tally(saved["tally_energy"], {origin: saved[f"tally_virial_{origin}"] for origin in meta["origins"]}),
     )
 
 

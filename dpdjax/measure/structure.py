@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import box as boxes
+from dpdjax.measure.statistics import Estimate
 
 PAIRS_AT_ONCE = 2**20
 """Distances held in memory at a time."""
@@ -35,7 +36,7 @@ class RadialDistribution:
 
 
 def radial_distribution(trajectory, *, box=None, bins: int = 100, r_max: float | None = None) -> RadialDistribution:
-    """The radial distribution function of all beads, whatever their species.
+    """The radial distribution function of all recorded beads, whatever their species.
 
     Every pair is counted, ``n (n - 1) / 2`` to a frame, and compared with the exact volume of its shell:
     beads thrown at random have g = 1 for any n. The error comes from the scatter of blocks of frames (and
@@ -53,16 +54,26 @@ def radial_distribution(trajectory, *, box=None, bins: int = 100, r_max: float |
             ``r_max`` above half the shortest side.
     """
     position, box = _configurations(trajectory, box)
-    half = 0.5 * float(np.min(box.lengths))
-    r_max = half if r_max is None else float(r_max)
-    if not 0 < r_max <= half * (1 + 1e-6):
-        raise ValueError(f"r_max is {r_max:.6g}; it must be above zero and at most half the shortest side, {half:.6g}")
-    if int(bins) != bins or bins < 1:
-        raise ValueError(f"bins is {bins!r}; it must be a whole number of at least 1")
-    edges = np.linspace(0.0, r_max, int(bins) + 1)
+    edges = distance_edges(box.lengths, bins, r_max)
     counts = np.stack([count_pairs(boxes.Box(*b), x, edges) for *b, x in zip(box.lengths, box.strain, position)])
     g = counts / expected_pairs(edges, position.shape[2], np.prod(box.lengths, axis=1))[:, None, :]
     return RadialDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), standard_error(pieces_of(g)))
+
+
+def distance_edges(lengths, bins, r_max):
+    """Edges (bins + 1,) of shells from 0 to ``r_max``, by default half the shortest side; ValueError for more."""
+    half = 0.5 * float(np.min(lengths))
+    r_max = half if r_max is None else float(r_max)
+    if not 0 < r_max <= half * (1 + 1e-6):
+        raise ValueError(f"r_max is {r_max:.6g}; it must be above zero and at most half the shortest side, {half:.6g}")
+    return np.linspace(0.0, r_max, whole_bins(bins) + 1)
+
+
+def whole_bins(bins) -> int:
+    """A number of bins; ValueError unless it is whole and at least 1."""
+    if int(bins) != bins or bins < 1:
+        raise ValueError(f"bins is {bins!r}; it must be a whole number of at least 1")
+    return int(bins)
 
 
 def count_pairs(box, position, edges):
@@ -115,12 +126,12 @@ def _configurations(trajectory, box):
     return position, boxes.Box(lengths, np.broadcast_to(np.ravel(box.strain), (batch,)))
 
 
-def recorded(trajectory, name: str) -> np.ndarray:
-    """A recorded vector of every bead, (batch, frames, n, 3); the batch is 1 where there is none.
+def recorded(trajectory, name: str, *, sheared: bool = False) -> np.ndarray:
+    """A vector of every bead that was recorded, (batch, frames, beads, 3); the batch is 1 where there is none.
 
-    Raises ValueError where the run was sheared, did not record ``name``, or failed.
+    Raises ValueError where the run did not record ``name``, failed, or was sheared, unless such a one will do.
     """
-    if np.any(np.asarray(trajectory.flow.rate) != 0):
+    if not sheared and np.any(np.asarray(trajectory.flow.rate) != 0):
         raise ValueError("the run was sheared: its box changes from frame to frame; measure this without shear")
     if name not in trajectory.frames:
         raise ValueError(f"the run recorded no {name!r} but {', '.join(trajectory.frames)}; use observe=dpd.positions")
@@ -136,6 +147,37 @@ def as_frames(values, name: str) -> np.ndarray:
         raise ValueError(f"{name} holds NaN or infinity: the run failed, see trajectory.final.status")
     values = values[None] if values.ndim == 2 else values
     return values.reshape(-1, *values.shape[-3:])
+
+
+def species_of(trajectory) -> np.ndarray:
+    """The species of each bead (n,), the same in every member of a batch."""
+    species = np.asarray(trajectory.final.species)
+    return species.reshape(-1, species.shape[-1])[0]
+
+
+def chosen_beads(trajectory, species: int | None) -> np.ndarray:
+    """Indices of the beads of one species, or of all; ValueError where there is none."""
+    of_bead = species_of(trajectory)
+    if species is not None and species not in of_bead:
+        raise ValueError(f"no bead is of species {species}; there are {', '.join(map(str, np.unique(of_bead)))}")
+    return np.flatnonzero(of_bead == species) if species is not None else np.arange(len(of_bead))
+
+
+def of_beads(values, trajectory, beads) -> np.ndarray:
+    """Recorded values (batch, frames, n, 3) of some beads, which may be the only ones recorded; else ValueError."""
+    there, everything = values.shape[2], len(species_of(trajectory))
+    if there not in (everything, len(beads)):
+        raise ValueError(
+            f"the run recorded {there} of its {everything} beads, not the {len(beads)} to be measured; "
+            "name their species, or use observe=dpd.positions"
+        )
+    return values[:, :, beads] if there == everything else values
+
+
+def average(series) -> Estimate:
+    """Mean of values (batch, frames), its error over blocks of frames; NaN for a single one."""
+    pieces = pieces_of(series)
+    return Estimate(float(np.mean(series)), float(standard_error(pieces)), len(pieces))
 
 
 def pieces_of(values) -> np.ndarray:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from dpdjax.measure.statistics import Estimate, from_replicas
-from dpdjax.measure.structure import PIECES, draw, recorded, standard_error
+from dpdjax.measure.structure import PIECES, chosen_beads, draw, of_beads, recorded, species_of, standard_error
 
 BEADS_AT_ONCE = 256
 """Beads Fourier-transformed at a time."""
@@ -62,11 +62,12 @@ class VelocityAutocorrelation:
 def mean_squared_displacement(trajectory, *, species: int | None = None, t_max: float | None = None):
     """The mean squared displacement of a run recorded with ``observe=dpd.positions``.
 
-    The drift of the centre of mass of all beads is taken off; a flow driven by body forces is not.
+    The drift of the centre of mass of all beads is taken off; a flow driven by body forces is not. Where only one
+    species was recorded (``dpd.positions_of``) nothing is: without body forces the momentum of the whole stays zero.
 
     Args:
         trajectory: a run without shear, batched or not.
-        species: index of the species looked at, or None for every bead.
+        species: index of the species looked at, or None for every bead; to be given where it alone was recorded.
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
 
     Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a sheared or failed run, one without
@@ -151,11 +152,10 @@ def _curves(trajectory, name, correlate, species, t_max):
     interval = _interval(trajectory)
     longest = _longest_lag(frames, batch, interval, t_max)
     each = max(1, min(-(-PIECES // batch), frames // (2 * longest)))
-    beads = _chosen(trajectory, species)
     curves = [
-        correlate(piece[:, beads], longest)
-        for member, mass in zip(values, _masses(trajectory, batch))
-        for piece in np.split(_without_drift(member, mass)[: frames // each * each], each)
+        correlate(piece, longest)
+        for member in _of_species(trajectory, values, species)
+        for piece in np.split(member[: frames // each * each], each)
     ]
     return interval * np.arange(longest + 1), np.array(curves)
 
@@ -181,25 +181,22 @@ def _interval(trajectory) -> float:
     return float(intervals[0])
 
 
-def _species(trajectory):
-    """The species of each bead (n,), the same in every member of a batch."""
-    species = np.asarray(trajectory.final.species)
-    return species.reshape(-1, species.shape[-1])[0]
-
-
-def _chosen(trajectory, species):
-    """Indices of the beads of one species, or of all."""
-    of_bead = _species(trajectory)
-    if species is not None and species not in of_bead:
-        raise ValueError(f"no bead is of species {species}; there are {', '.join(map(str, np.unique(of_bead)))}")
-    return np.flatnonzero(of_bead == species) if species is not None else np.arange(len(of_bead))
+def _of_species(trajectory, values, species):
+    """Member by member the values (frames, beads, 3) of a species, relative to the centre of mass if all are there."""
+    beads = chosen_beads(trajectory, species)
+    if values.shape[2] < len(species_of(trajectory)):
+        yield from of_beads(values, trajectory, beads).astype(float)
+        return
+    for member, mass in zip(values, _masses(trajectory, len(values))):
+        yield _without_drift(member, mass)[:, beads]
 
 
 def _masses(trajectory, batch):
     """Mass of each bead in each member, (batch, n)."""
     mass = np.asarray(trajectory.fluid.mass, float)
-    mass = mass.reshape(-1, mass.shape[-1])[:, _species(trajectory)]
-    return np.broadcast_to(mass, (batch, mass.shape[1]))
+    mass = mass.reshape(-1, mass.shape[-1])[:, species_of(trajectory)]
+    size = np.asarray(trajectory.final.size, float).reshape(-1, mass.shape[1])
+    return np.broadcast_to(mass * size**3, (batch, mass.shape[1]))
 
 
 def _without_drift(values, mass):

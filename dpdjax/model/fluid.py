@@ -11,30 +11,39 @@ import numpy as np
 from dpdjax.checks import not_negative, number, positive
 from dpdjax.model.term import Term, check_table, replace_coefficients
 
+ORIGINS = ("conservative", "drag", "random")
+"""Where stress comes from, unless a term has a name of its own for it."""
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Interaction:
-    """The terms that act between two groups of beads; each interaction has its own list.
+    """The terms that act within a group of beads or between two; each interaction has its own list.
 
     Attributes:
         conservative: potentials; their energies add up.
         drag: frictions; their coefficients add up, and the noise follows from the sum.
-        groups: indices of the two groups (static).
+        random: frictions the noise follows from instead, or None.
+        groups: species of either group; twice the same for the pairs within one (static).
     """
 
     conservative: tuple[Term, ...]
     drag: tuple[Term, ...]
-    groups: tuple[int, int] = dataclasses.field(default=(0, 0), metadata={"static": True})
+    random: tuple[Term, ...] | None
+    groups: tuple[tuple[int, ...], tuple[int, ...]] = dataclasses.field(metadata={"static": True})
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        return self.conservative + self.drag
+        return self.conservative + self.drag + (self.random or ())
 
-    @property
-    def reach(self) -> float:
-        """Largest distance at which any term acts [length]; needs concrete numbers."""
-        return max(float(np.max(np.asarray(t.reach))) for t in self.terms)
+    def map_terms(self, function) -> "Interaction":
+        """The same interaction with ``function(term)`` in place of every term."""
+        each = lambda terms: None if terms is None else tuple(function(t) for t in terms)
+        return Interaction(each(self.conservative), each(self.drag), each(self.random), self.groups)
+
+    def reaches(self, R_i, R_j, kT) -> list:
+        """Of each term the centre distance at which it ends between beads of these radii [length]."""
+        return [t.between(R_i=R_i, R_j=R_j, kT=kT)[1] + R_i + R_j for t in self.terms]
 
 
 @jax.tree_util.register_dataclass
@@ -48,15 +57,40 @@ class Fluid:
         interactions: one for each pair of groups that interact.
         kT: thermal energy [energy].
         mass: mass of each species, shape (species,) [mass].
+        radius: of each species its radius [length], or None for points.
     """
 
     interactions: tuple[Interaction, ...]
     kT: Any
     mass: Any
+    radius: tuple[Any, ...]
 
     @property
     def species(self) -> int:
         return self.mass.shape[-1]
+
+    @property
+    def has_radii(self) -> bool:
+        return any(r is not None for r in self.radius)
+
+    def reaches(self, largest=None) -> tuple[float, ...]:
+        """Largest centre distance at which each interaction acts [length]; needs concrete numbers.
+
+        ``largest``: relative size of the largest bead of each species, 1 by default.
+        """
+        numbers = jax.tree.map(np.asarray, self)
+        largest = (1.0,) * self.species if largest is None else largest
+        radius = [0.0 if r is None else float(np.max(r)) * float(size) for r, size in zip(numbers.radius, largest)]
+        of_group = lambda group: max(radius[k] for k in group)
+        kT = np.max(numbers.kT)
+        farthest = lambda i: max(float(np.max(r)) for r in i.reaches(*map(of_group, i.groups), kT))
+        return tuple(map(farthest, numbers.interactions))
+
+    @property
+    def origins(self) -> tuple[str, ...]:
+        """Names under which the stresses of pairs are kept."""
+        labels = [t.origin for i in self.interactions for t in i.conservative + i.drag if t.origin is not None]
+        return tuple(dict.fromkeys((*ORIGINS, *labels)))
 
     @property
     def coefficients(self) -> dict[str, Any]:
@@ -86,69 +120,125 @@ class Fluid:
             coefficients = {k: 0 if jnp.ndim(c) in (1, 3) else None for k, c in t.coefficients.items()}
             return dataclasses.replace(t, coefficients=coefficients, cut=None)
 
-        interactions = tuple(
-            dataclasses.replace(i, conservative=tuple(map(axes, i.conservative)), drag=tuple(map(axes, i.drag)))
-            for i in self.interactions
-        )
-        return Fluid(interactions, 0 if jnp.ndim(self.kT) == 1 else None, 0 if jnp.ndim(self.mass) == 2 else None)
+        one_more = lambda value, least: 0 if jnp.ndim(value) == least + 1 else None
+        radius = tuple(None if r is None else one_more(r, 0) for r in self.radius)
+        interactions = tuple(i.map_terms(axes) for i in self.interactions)
+        return Fluid(interactions, one_more(self.kT, 0), one_more(self.mass, 1), radius)
 
     @property
     def is_batch(self) -> bool:
         """Whether any number carries a batch axis."""
         return bool(jax.tree.leaves(self.batch_axes()))
 
-    def set(self, **numbers) -> "Fluid":
+    def set(self, *, between=None, **numbers) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
-        ``kT`` and ``mass`` are set the same way. Raises TypeError for a name that no
-        term knows, ValueError for a value that no fluid can have.
+        ``between``: the two species (or groups of species) whose terms alone take them. ``kT`` and ``mass``
+        are set the same way, of the whole fluid. Raises TypeError for a name that no term knows, ValueError
+        for a value that no fluid can have.
         """
+        groups = None if between is None else _groups(between)
+        chosen = [i for i in self.interactions if groups in (None, i.groups)]
+        if not chosen:
+            raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
+        known = {name for i in chosen for t in i.terms for name in t.coefficients}
         for name in numbers:
-            if name not in ("kT", "mass") and name not in self.coefficients:
+            if name not in known and (name not in ("kT", "mass") or between is not None):
                 raise TypeError(_unknown(name, self))
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
         _check_coefficients(numbers)
         for name, value in numbers.items():
             check_table(name, number(value, name), self.species)
-        interactions = tuple(
-            dataclasses.replace(
-                interaction,
-                conservative=tuple(replace_coefficients(t, numbers) for t in interaction.conservative),
-                drag=tuple(replace_coefficients(t, numbers) for t in interaction.drag),
-            )
-            for interaction in self.interactions
-        )
-        return Fluid(interactions, kT, mass)
+        changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if groups in (None, i.groups) else i
+        return Fluid(tuple(map(changed, self.interactions)), kT, mass, self.radius)
+
+
+def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term] = (), random=None) -> Interaction:
+    """What acts between two groups of beads, or within one.
+
+    Args:
+        between: the two groups, each a species or several that follow one another: ``(0, 1)``,
+            ``((0, 1), 2)``; twice the same for the pairs within a group.
+        conservative: potentials of the gap between the surfaces.
+        drag: frictions.
+        random: frictions from which the noise follows; by default those of ``drag``, which keeps the
+            temperature. Give others only to reproduce what was computed with them.
+
+    Raises ValueError for groups that overlap, or without any term; TypeError for what is not a term.
+    """
+    parts = [((t,) if isinstance(t, Term) else tuple(t)) for t in (conservative, drag, () if random is None else random)]
+    for t in parts[0] + parts[1] + parts[2]:
+        if not isinstance(t, Term):
+            raise TypeError(f"{t!r} is not a term; write dpd.term(law, coefficient=...)")
+        _check_coefficients(t.coefficients)
+    if not parts[0] + parts[1]:
+        raise ValueError("a fluid without terms does nothing; give conservative=[...] or drag=[...]")
+    return Interaction(parts[0], parts[1], None if random is None else parts[2], _groups(between))
 
 
 def fluid(
-    conservative: Sequence[Term] = (), drag: Sequence[Term] = (), *, kT, mass=1.0, species: int | None = None
+    conservative: Sequence[Term] = (),
+    drag: Sequence[Term] = (),
+    *,
+    kT,
+    mass=1.0,
+    radius=None,
+    species: int | None = None,
+    interactions: Sequence[Interaction] = (),
 ) -> Fluid:
-    """A fluid of one group of beads, of one or several species.
+    """A fluid of one group of beads, of one or several species, or of several groups.
 
     Args:
-        conservative: potentials, e.g. ``[dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)]``.
-        drag: frictions, e.g. ``[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)]``.
+        conservative: potentials between all beads, e.g. ``[dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)]``.
+        drag: frictions between all beads, e.g. ``[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)]``.
         kT: thermal energy [energy], zero or above.
         mass: bead mass, a number or one for each species [mass].
-        species: how many; read off the tables and ``mass`` where not given.
+        radius: of each species, None for points [length]; laws see the gap between the surfaces.
+        species: how many; read off the tables, ``mass`` and ``radius`` where not given.
+        interactions: of several groups, each with its own terms and its own list of neighbours, in place
+            of ``conservative`` and ``drag``; from :func:`interaction`.
 
     Raises:
-        ValueError: negative ``kT`` or ``gamma``, mass not above zero, tables of
-            different size, no term at all.
+        ValueError: negative ``kT`` or ``gamma``, mass or radius not above zero, tables of
+            different size, groups that overlap in part, no term at all.
         TypeError: something that is not a term.
     """
-    conservative, drag = (((t,) if isinstance(t, Term) else tuple(t)) for t in (conservative, drag))
-    for t in conservative + drag:
-        if not isinstance(t, Term):
-            raise TypeError(f"{t!r} is not a term; write dpd.term(law, coefficient=...)")
-    if not conservative + drag:
-        raise ValueError("a fluid without terms does nothing; give conservative=[...] or drag=[...]")
-    for t in conservative + drag:
-        _check_coefficients(t.coefficients)
-    count = _count_species(conservative + drag, mass, species)
-    return Fluid((Interaction(conservative, drag),), not_negative(kT, "kT"), _masses(mass, count))
+    interactions = tuple(interactions)
+    terms = [t for i in interactions for t in i.terms]
+    if conservative or drag or not interactions:
+        if interactions:
+            raise ValueError("give either interactions=[...], or conservative= and drag= between all beads")
+        alone = interaction((0, 0), conservative, drag)
+        terms = alone.terms
+    groups = [k for i in interactions for group in i.groups for k in group]
+    count = _count_species(terms, mass, radius, species, groups)
+    if not interactions:
+        everything = tuple(range(count))
+        interactions = (dataclasses.replace(alone, groups=(everything, everything)),)
+    _check_groups(interactions)
+    return Fluid(interactions, not_negative(kT, "kT"), _masses(mass, count), _radii(radius, count))
+
+
+def _groups(between) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Both groups as tuples of species, the lower first."""
+    if len(between) != 2:
+        raise ValueError(f"between is {between}; give two species, or two groups of species")
+    first, second = sorted((int(k),) if np.ndim(k) == 0 else tuple(int(s) for s in k) for k in between)
+    for group in (first, second):
+        if not group or group != tuple(range(group[0], group[-1] + 1)):
+            raise ValueError(f"{group} is no group: give species that follow one another")
+    if first != second and set(first) & set(second):
+        raise ValueError(f"the groups {first} and {second} share a species: make them equal, or apart")
+    return first, second
+
+
+def _check_groups(interactions):
+    seen = set()
+    for i in interactions:
+        if i.groups in seen:
+            raise ValueError(f"two interactions between {i.groups}: give all their terms to one")
+        seen.add(i.groups)
 
 
 def _check_coefficients(coefficients):
@@ -165,10 +255,20 @@ def _masses(mass, species):
     return jnp.broadcast_to(mass, (species,))
 
 
-def _count_species(terms, mass, species):
+def _radii(radius, species) -> tuple:
+    """Of each species None or its radius."""
+    each = tuple(radius) if isinstance(radius, (tuple, list)) else (radius,) * species
+    return tuple(None if r is None else positive(r, "radius") for r in each)
+
+
+def _count_species(terms, mass, radius, species, groups):
     sizes = {value.shape[0]: name for t in terms for name, value in t.coefficients.items() if value.ndim == 2}
     if np.ndim(mass) == 1:
         sizes.setdefault(np.shape(mass)[0], "mass")
+    if isinstance(radius, (tuple, list)):
+        sizes.setdefault(len(radius), "radius")
+    if groups:
+        sizes.setdefault(max(groups) + 1, "the interactions")
     if species is not None:
         sizes.setdefault(species, "species")
     if len(sizes) > 1:

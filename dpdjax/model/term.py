@@ -1,6 +1,7 @@
 """A term: one pair law with the numbers that go into it."""
 
 import dataclasses
+import functools
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -9,6 +10,19 @@ import jax
 import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
+
+GIVEN = ("R_i", "R_j", "kT")
+"""What a law may ask for by name without being given it: the radii of the two beads, the thermal energy."""
+
+
+def reaches(function: Callable):
+    """A decorator that says where a law ends: ``function(*, ...)`` of its coefficients, R_i, R_j and kT [length]."""
+
+    def declared(law):
+        law.reach = function
+        return law
+
+    return declared
 
 
 @jax.tree_util.register_dataclass
@@ -19,39 +33,51 @@ class Term:
     Attributes:
         law: the pair function (static).
         coefficients: name -> scalar or (species, species) table (leaves).
-        cut: gap beyond which the law is zero, where it is not ``r_c`` (leaf).
+        cut: gap beyond which the law is zero, where that is a number of its own (leaf).
+        reach: function of the coefficients and of what is given, where it is computed (static).
+        origin: name under which its stress is kept, where that is not its kind (static).
     """
 
     law: Callable = dataclasses.field(metadata={"static": True})
     coefficients: dict[str, Any]
     cut: Any = None
+    reach: Callable | None = dataclasses.field(default=None, metadata={"static": True})
+    origin: str | None = dataclasses.field(default=None, metadata={"static": True})
 
-    @property
-    def reach(self):
-        """Gap beyond which the law is zero, scalar or table [length]."""
-        return self.coefficients["r_c"] if self.cut is None else self.cut
+    def asks_for(self, name: str) -> bool:
+        """Whether the law or its reach takes a number that the engine gives."""
+        return name in _keywords(self.law) or (self.reach is not None and name in _keywords(self.reach))
 
-    def between(self, table_of):
-        """Coefficients and reach of each pair; ``table_of`` looks tables up."""
-        return {name: table_of(c) for name, c in self.coefficients.items()}, table_of(self.reach)
+    def between(self, table_of=lambda c: c, **given):
+        """The law as a function of the gap, and its reach; ``table_of`` looks tables up, ``given`` is of ``GIVEN``."""
+        numbers = {name: table_of(c) for name, c in self.coefficients.items()} | given
+        call = lambda function: functools.partial(function, **{k: numbers[k] for k in _keywords(function) if k in numbers})
+        if self.cut is not None:
+            return call(self.law), table_of(self.cut)
+        return call(self.law), numbers["r_c"] if self.reach is None else call(self.reach)()
 
 
-def term(law: Callable, *, reach=None, **coefficients) -> Term:
+def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients) -> Term:
     """Bind a pair law to its coefficients.
 
     Args:
         law: a function ``law(h, *, ...)`` of the gap, returning an energy (used
-            under ``conservative=``) or a friction coefficient (under ``drag=``).
-        reach: gap beyond which the law is cut to zero [length]; by default the
-            coefficient ``r_c``.
+            under ``conservative=``) or a friction coefficient (under ``drag=``). It may ask for the
+            radii ``R_i``, ``R_j`` of the two beads and for ``kT`` by name; those are not given here.
+        reach: gap beyond which the law is cut to zero [length], a number or a function of coefficients; by
+            default what the law declares with ``dpd.reaches``, else its coefficient ``r_c``. A potential
+            is shifted to be zero there.
+        origin: name under which the stress of this term is kept, by default ``"conservative"`` or ``"drag"``.
         **coefficients: a scalar or a symmetric (species, species) table each.
 
     Raises:
         TypeError: a coefficient the law does not know, or one it lacks.
         ValueError: a table that is not square and symmetric; no reach.
     """
-    wanted = _keyword_parameters(law)
     name = getattr(law, "__name__", repr(law))
+    declared = getattr(law, "reach", None) if reach is None else reach if callable(reach) else None
+    wanted = dict(_keywords(declared) if declared else {}) | _keywords(law)
+    wanted = {k: needed for k, needed in wanted.items() if k not in GIVEN}
     for given in coefficients:
         if given not in wanted:
             raise TypeError(f"{name} has no coefficient {given!r}; it takes {', '.join(wanted)}")
@@ -63,13 +89,16 @@ def term(law: Callable, *, reach=None, **coefficients) -> Term:
         if v.ndim in (1, 3):
             raise ValueError(f"{k} has shape {v.shape}; give a number or a square (species, species) table")
         check_table(k, v)
-    if reach is None and "r_c" not in values:
+    if reach is None and declared is None and "r_c" not in values:
         raise ValueError(f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)")
-    return Term(law, values, None if reach is None else positive(reach, f"reach of {name}"))
+    cut = None if reach is None or callable(reach) else positive(reach, f"reach of {name}")
+    return Term(law, values, cut, declared, origin)
 
 
-def _keyword_parameters(law) -> dict[str, bool]:
-    parameters = inspect.signature(law).parameters.values()
+@functools.cache
+def _keywords(function) -> dict[str, bool]:
+    """The keyword-only parameters of a function, and whether each must be given."""
+    parameters = inspect.signature(function).parameters.values()
     return {p.name: p.default is p.empty for p in parameters if p.kind is p.KEYWORD_ONLY}
 
 

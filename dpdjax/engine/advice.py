@@ -1,0 +1,204 @@
+"""Time steps and skins that suit a fluid, and the rates they follow from.
+
+Host side numbers: everything here needs a fluid whose numbers are known.
+"""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete
+from dpdjax.model.fluid import Fluid, Interaction
+
+REBUILD_COST = 1.0
+"""One rebuild in units of one force pass over the same list (measured: tests/benchmarks)."""
+SORTING_COST = 2.4
+"""Sorting one bead of the larger of two groups, in units of the forces of one pair (measured: tests/benchmarks)."""
+CLOSE_NEIGHBOURS = 6
+"""Of a colloid in a gel; each shares half of the damping of its pair."""
+SAMPLES = 400
+
+
+def suggest_dt(fluid: Fluid, density) -> float:
+    """The time step that keeps the temperature error of velocity-Verlet below 0.5 %.
+
+    The error is about 0.7 omega dt in an unstructured fluid, with omega the
+    :func:`damping_rate`, and 0.3 to 0.4 omega dt in one that repels like water (measured:
+    tests/physics/RESULTS.md). Never above a hundredth of the thermal time
+    ``r_c sqrt(m / kT)``, nor above 0.7 of what :func:`dt_limits` allows colloids.
+
+    ``density``: beads per volume of all, or one number for each species.
+    """
+    numbers = extreme(fluid)
+    kT = max(float(numbers.kT), 1e-12)
+    error = 0.7 / (1.0 + min(repulsion_energy(numbers, density) / kT, 16.0) / 20.0)
+    rate = max(damping_rate(numbers, density), 1e-12)
+    thermal = math.sqrt(float(np.min(numbers.mass)) / kT) * shortest_reach(numbers)
+    between_colloids = dt_limits(numbers, density)[2:]
+    return min(0.005 / (error * rate), 0.01 * thermal, *(0.7 * limit for _, limit in between_colloids))
+
+
+def dt_limits(fluid: Fluid, density) -> list[tuple[str, float]]:
+    """What limits the time step, and the largest dt it allows [time].
+
+    Damping is stable below 2 over its largest rate, accurate below 1 over it; the beads of a solvent, whose
+    damping is known on average only, are kept below half of that. Oscillations are stable below 2 over
+    their frequency.
+    """
+    numbers = extreme(fluid)
+    colloidal = [i for i in numbers.interactions if _is_between_colloids(numbers, i)]
+    others = [i for i in numbers.interactions if not _is_between_colloids(numbers, i)]
+    longest = lambda most, rates: most / max([*rates, 1e-12])
+    frequency = lambda interactions: [_pair_frequency(numbers, i) for i in interactions]
+    return [
+        ("drag: dt times the damping rate of a bead is to stay below 0.5", longest(0.5, [damping_rate(numbers, density)])),
+        ("conservative force: dt times the frequency of a pair is to stay below 0.5", longest(0.5, frequency(others))),
+        (
+            f"lubrication: dt times the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours is to stay below 1",
+            longest(1.0, [_network_rate(numbers, i) for i in colloidal]),
+        ),
+        ("contact force: dt times the frequency of two touching colloids is to stay below 1", longest(1.0, frequency(colloidal))),
+    ]
+
+
+def damping_rate(fluid: Fluid, density) -> float:
+    """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times the integral of zeta [1/time].
+
+    ``density`` as for :func:`suggest_dt`. Drag between colloids is not in it.
+    """
+    densities = _densities(fluid, density)
+    rates = np.zeros(fluid.species)
+    for i in (i for i in fluid.interactions if not _is_between_colloids(fluid, i)):
+        friction = sum(_volume_integral(fluid, i, t) for t in i.drag)
+        # Within one group both directions are the same.
+        for mine, other in {i.groups, i.groups[::-1]}:
+            rates[list(mine)] += friction * densities[list(other)].sum()
+    return float(np.max(rates / 3.0 / np.asarray(fluid.mass)))
+
+
+def repulsion_energy(fluid: Fluid, density) -> float:
+    """Mean-field repulsion of a solvent bead, ``density`` times the integral of the potentials, at least 0 [energy]."""
+    densities = _densities(fluid, density)
+    within = [i for i in fluid.interactions if i.groups[0] == i.groups[1] and not _is_between_colloids(fluid, i)]
+    energies = [densities[list(i.groups[0])].sum() * sum(_volume_integral(fluid, i, t) for t in i.conservative) for i in within]
+    return max([0.0, *map(float, energies)])
+
+
+def pair_frequency(fluid: Fluid) -> float:
+    """Fastest oscillation of two beads, ``sqrt(U'' / mu)``, at distances they reach with 4 kT [1/time]."""
+    return max(_pair_frequency(fluid, i) for i in fluid.interactions)
+
+
+def shortest_reach(fluid: Fluid) -> float:
+    """Shortest gap at which any term between other beads than two colloids ends [length]."""
+    solvent = [i for i in fluid.interactions if not _is_between_colloids(fluid, i)] or fluid.interactions
+    return min(float(np.min(t.between(**_given(fluid, i))[1])) for i in solvent for t in i.terms)
+
+
+def suggest_skin(fluid: Fluid, dt, interaction: int = 0, sorting: float = 0.0) -> float:
+    """The skin of one list that costs least: wide lists hold more pairs, narrow ones are built more often.
+
+    ``sorting``: what a rebuild costs besides, in units of one force pass over the list.
+    """
+    numbers = extreme(fluid)
+    reach = numbers.reaches()[interaction]
+    groups = numbers.interactions[interaction].groups
+    fastest = sum(4.5 * math.sqrt(float(numbers.kT) / _lightest(numbers, group)) for group in groups)
+    skins = np.linspace(0.02, 0.6, 59) * reach
+    rebuilds = fastest * float(np.max(np.asarray(dt))) / skins
+    cost = (1 + skins / reach) ** 3 * (1 + REBUILD_COST * rebuilds) + sorting * rebuilds
+    return float(np.round(skins[np.argmin(cost)], 3))
+
+
+def suggest_skins(fluid: Fluid, dt, counts, volume: float) -> list[float]:
+    """The cheapest skin of each list, for ``counts`` beads of each species in a volume."""
+
+    def sorting(interaction, reach):
+        """Between two groups, what sorting the larger one costs over what the forces of the pairs do."""
+        first, second = (sum(counts[k] for k in group) for group in interaction.groups)
+        pairs = first * second / volume * 4 / 3 * math.pi * reach**3
+        return 0.0 if interaction.groups[0] == interaction.groups[1] else SORTING_COST * max(first, second) / max(pairs, 1.0)
+
+    each = enumerate(zip(fluid.interactions, fluid.reaches()))
+    return [suggest_skin(fluid, dt, k, sorting(i, reach)) for k, (i, reach) in each]
+
+
+def extreme(fluid: Fluid) -> Fluid:
+    """The fluid with every scan and every table replaced by its largest number, masses by the smallest.
+
+    Raises ValueError for numbers that are being traced.
+    """
+    if not is_concrete(fluid):
+        raise ValueError(
+            "this needs plain numbers: build the state with one fluid outside vmap or grad, then scan or differentiate the run"
+        )
+    mass = np.asarray(fluid.mass, float)
+    largest = jax.tree.map(lambda leaf: np.max(np.asarray(leaf, float)), fluid)
+    return dataclasses.replace(largest, mass=mass.reshape(-1, mass.shape[-1]).min(0))
+
+
+def _densities(fluid, density):
+    """Beads per volume by species; a single number is that of the first group, where solvent is."""
+    if np.ndim(density):
+        return np.asarray(density, float)
+    return np.eye(fluid.species)[0] * float(density)
+
+
+def _lightest(fluid, group) -> float:
+    return float(np.min(np.asarray(fluid.mass)[..., list(group)]))
+
+
+def _largest_radius(fluid, group) -> float:
+    return max(0.0 if fluid.radius[k] is None else float(np.max(fluid.radius[k])) for k in group)
+
+
+def _is_between_colloids(fluid, interaction: Interaction) -> bool:
+    return all(_largest_radius(fluid, group) > 0 for group in interaction.groups)
+
+
+def _given(fluid, interaction) -> dict:
+    R_i, R_j = (_largest_radius(fluid, group) for group in interaction.groups)
+    return {"R_i": R_i, "R_j": R_j, "kT": float(np.max(fluid.kT))}
+
+
+def _reduced_mass(fluid, interaction) -> float:
+    a, b = (_lightest(fluid, group) for group in interaction.groups)
+    return a * b / (a + b)
+
+
+def _network_rate(fluid, interaction) -> float:
+    """Damping rate of a colloid among close neighbours: half of each pair's largest rate [1/time]."""
+    zeta = sum(float(np.max(_sampled(fluid, interaction, t)[1])) for t in interaction.drag)
+    return 0.5 * CLOSE_NEIGHBOURS * zeta / _reduced_mass(fluid, interaction)
+
+
+def _pair_frequency(fluid, interaction) -> float:
+    stiffest = 0.0
+    for t in interaction.conservative:
+        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True)
+        reached = energy - energy.min() <= 4.0 * float(fluid.kT)
+        stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
+    return math.sqrt(stiffest / _reduced_mass(fluid, interaction))
+
+
+def _volume_integral(fluid, interaction, term) -> float:
+    """Integral of a law over the volume outside the surfaces, by the midpoint rule."""
+    r, values, _, width = _sampled(fluid, interaction, term)
+    return float(np.sum(4 * np.pi * r**2 * values) * width)
+
+
+def _sampled(fluid, interaction, term, curved: bool = False):
+    """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and the step."""
+    given = _given(fluid, interaction)
+    law, reach = term.between(np.max, **given)
+    width = float(reach) / SAMPLES
+    gap = (np.arange(SAMPLES) + 0.5) * width
+    with jax.ensure_compile_time_eval():
+        h, one = jnp.asarray(gap), jnp.ones(SAMPLES)
+        slope = lambda h: jax.jvp(law, (h,), (one,))[1]
+        curvature = np.asarray(jax.jvp(slope, (h,), (one,))[1], float) if curved else None
+        values = np.asarray(jnp.broadcast_to(law(h), h.shape), float)
+    return gap + given["R_i"] + given["R_j"], values, curvature, width

@@ -1,0 +1,156 @@
+"""Beads to start from: placed at random or on a lattice, with Maxwell velocities."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete, not_negative, positive, prng_key
+from dpdjax.engine import box as boxes
+from dpdjax.engine import neighbours as lists
+from dpdjax.engine.advice import suggest_dt, suggest_skins
+from dpdjax.engine.state import State, assemble
+from dpdjax.model.fluid import Fluid
+
+POSITION_DOMAIN, VELOCITY_DOMAIN = 2, 3
+"""Folded into the user's key, so that one key serves start and noise."""
+CLUSTERING = 2.0
+"""Room in the lists of colloids, which gather."""
+
+
+def initial_state(
+    fluid: Fluid,
+    key,
+    *,
+    box,
+    density=None,
+    n=None,
+    start: str = "random",
+    fractions=None,
+    skin: float | None = None,
+    dt: float | None = None,
+    sheared: bool = True,
+) -> State:
+    """Beads in a box, with Maxwell velocities of zero total momentum.
+
+    Args:
+        fluid: what the beads are.
+        key: a PRNG key; the same one may drive the run.
+        box: one side or three [length].
+        density: beads per volume; or give ``n``.
+        n: number of beads, instead of the density or as one count per species.
+        start: ``"random"`` or ``"lattice"`` (simple cubic, filled evenly).
+        fractions: share of each species, equal by default.
+        skin: margin of the neighbour lists [length]; by default the cheapest for ``dt``.
+        dt: time step the skin is chosen for; by default :func:`suggest_dt`.
+        sheared: leave room in the lists for a tilted box.
+
+    Returns a :class:`State`; works under ``vmap`` over ``key``.
+
+    Raises:
+        ValueError: a box below ``2 (reach + skin)``, density x volume below 2, counts
+            and box that disagree.
+        TypeError: no key.
+    """
+    key = prng_key(key)
+    if key.ndim:
+        raise ValueError(f"{key.size} keys for one state; use jax.vmap(lambda key: dpd.initial_state(fluid, key, ...))(keys)")
+    if is_concrete(fluid) and (jnp.ndim(fluid.kT) or jnp.ndim(fluid.mass) > 1):
+        raise ValueError(
+            "kT or mass of the fluid is a batch, and one state has one temperature: build the state with "
+            "one fluid, and give the batch to the run"
+        )
+    box = boxes.box(box)
+    if not is_concrete(box):
+        raise ValueError("the box of initial_state must be known when tracing: build the state outside jit")
+    if not is_concrete(fluid):
+        raise ValueError(
+            "initial_state needs plain numbers to lay out its lists: build the state with one "
+            "fluid outside vmap or grad, then scan or differentiate the run"
+        )
+    counts = _counts(fluid, np.asarray(box.lengths, float), density, n, fractions)
+    position = _positions(start, key, box, sum(counts))
+    return placed(fluid, key, box, position, counts, skin=skin, dt=dt, sheared=sheared)
+
+
+def placed(fluid: Fluid, key, box: boxes.Box, position, counts, *, size=None, skin=None, dt=None, sheared=True) -> State:
+    """A state of beads at given positions (n, 3), ``counts`` of each species in turn; see :func:`initial_state`.
+
+    ``size`` (n,): relative sizes of the beads.
+    """
+    total = sum(counts)
+    species = np.repeat(np.arange(len(counts)), counts)
+    size = np.ones(total) if size is None else np.asarray(size, float)
+    lengths = np.asarray(box.lengths, float)
+    dt = suggest_dt(fluid, np.asarray(counts) / lengths.prod()) if dt is None else dt
+    skins = suggest_skins(fluid, dt, counts, lengths.prod()) if skin is None else [float(not_negative(skin, "skin"))]
+    largest = [size[species == k].max(initial=1.0) for k in range(len(counts))]
+    grids = _grids(fluid, lengths, counts, fluid.reaches(largest), skins, sheared)
+    species, size = jnp.asarray(species, jnp.int32), jnp.asarray(size, box.lengths.dtype)
+    velocity = _velocities(key, fluid.mass[species] * size**3, fluid.kT)
+    return assemble(box, position, velocity, species, grids, size, fluid.origins)
+
+
+def _grids(fluid, lengths, counts, reaches, skins, sheared) -> tuple[lists.Grid, ...]:
+    """A grid for the list of each interaction; one skin is that of all."""
+    edges = np.concatenate([[0], np.cumsum(counts)])
+    skins = skins * len(reaches) if len(skins) == 1 else skins
+    grids = []
+    for interaction, reach, skin in zip(fluid.interactions, reaches, skins):
+        groups = tuple((int(edges[group[0]]), int(edges[group[-1] + 1])) for group in interaction.groups)
+        for group, (begin, end) in zip(interaction.groups, groups):
+            if begin == end:
+                raise ValueError(f"there is no bead of species {group}, and the fluid has an interaction for it")
+        gather = groups[0] == groups[1] and all(fluid.radius[k] is not None for k in interaction.groups[0])
+        room = {"room": CLUSTERING} if gather else {}
+        grids.append(lists.plan_grid(groups, lengths, reach, skin, sheared, **room))
+    return tuple(grids)
+
+
+def _counts(fluid, lengths, density, n, fractions):
+    if (density is None) == (n is None):
+        raise ValueError("give either density=... or n=... (beads in all, or one count per species)")
+    if n is not None and np.ndim(n) == 1:
+        counts = [int(c) for c in n]
+    else:
+        total = int(round(float(positive(density, "density")) * lengths.prod())) if n is None else int(n)
+        counts = _shares(total, fluid.species, fractions)
+    if len(counts) != fluid.species:
+        raise ValueError(f"{len(counts)} counts for a fluid of {fluid.species} species")
+    if sum(counts) < 2:
+        raise ValueError(f"density x volume is {sum(counts)} beads; a fluid needs at least 2: use a larger box")
+    return counts
+
+
+def _shares(total, species, fractions):
+    shares = np.full(species, 1 / species) if fractions is None else np.asarray(fractions, float)
+    if len(shares) != species or not np.isclose(shares.sum(), 1) or np.any(shares < 0):
+        raise ValueError(f"fractions {fractions} must be {species} shares that add up to 1")
+    edges = np.round(np.cumsum(shares) * total).astype(int)
+    return [int(c) for c in np.diff(edges, prepend=0)]
+
+
+def _positions(start, key, box, n):
+    if start == "random":
+        u = jax.random.uniform(jax.random.fold_in(key, POSITION_DOMAIN), (n, 3), dtype=box.lengths.dtype)
+        return u * box.lengths[None]
+    if start == "lattice":
+        return jnp.asarray(_lattice(n, np.asarray(box.lengths, float)), box.lengths.dtype)
+    raise ValueError(f'start is {start!r}; it is "random" or "lattice"')
+
+
+def _lattice(n, lengths):
+    """n sites of a simple cubic lattice that fills the box, chosen evenly where there are more."""
+    spacing = (lengths.prod() / n) ** (1 / 3)
+    sites = np.maximum(1, np.round(lengths / spacing)).astype(int)
+    while sites.prod() < n:
+        sites[np.argmax(lengths / sites)] += 1
+    chosen = np.floor(np.arange(n) * sites.prod() / n).astype(int)
+    return (np.stack(np.unravel_index(chosen, sites), 1) + 0.5) / sites * lengths
+
+
+@jax.jit
+def _velocities(key, mass, kT):
+    """Maxwell velocities, shifted to zero momentum."""
+    draw = jax.random.normal(jax.random.fold_in(key, VELOCITY_DOMAIN), (mass.shape[0], 3), dtype=mass.dtype)
+    velocity = draw * jnp.sqrt(kT / mass)[:, None]
+    return velocity - jnp.sum(mass[:, None] * velocity, axis=0, keepdims=True) / jnp.sum(mass)

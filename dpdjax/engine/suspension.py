@@ -1,0 +1,163 @@
+"""Suspensions to start from: colloids that do not overlap, solvent outside them."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+
+from dpdjax.checks import positive, prng_key
+from dpdjax.engine import box as boxes
+from dpdjax.engine import packing
+from dpdjax.engine.advice import suggest_dt
+from dpdjax.engine.start import placed
+from dpdjax.engine.state import State
+from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
+from dpdjax.model.fluid import Fluid
+
+SIZE_DOMAIN = 6
+"""Folded into the user's key for the sizes of polydisperse colloids."""
+PRODUCTION_SIDE = 30.0
+"""Shortest side at which a suspension counts as large, in ``r_c``."""
+CUT_SIZES = 3.0
+"""Gaussian sizes are drawn again beyond this many standard deviations."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Suspension:
+    """A fluid with colloids and a state of it; prints what it is made of.
+
+    Attributes:
+        fluid: the fluid, species 0 the solvent and species 1 the colloids.
+        state: where the beads are.
+        phi: volume fraction of the colloids, as placed.
+        tau: bare diffusion time of a colloid [time].
+        dt: a time step that suits it [time].
+    """
+
+    fluid: Fluid
+    state: State
+    phi: float
+    tau: float
+    dt: float
+
+    @property
+    def solvents(self) -> int:
+        """Number of solvent beads."""
+        return int(np.sum(np.asarray(self.state.species) == SOLVENT))
+
+    @property
+    def colloids(self) -> int:
+        """Number of colloids."""
+        return self.state.n - self.solvents
+
+    @property
+    def steps_per_tau(self) -> int:
+        """Steps of ``dt`` in one diffusion time."""
+        return round(self.tau / self.dt)
+
+    def __str__(self):
+        names = ("solvent-solvent", "colloid-solvent", "colloid-colloid")
+        sides = " x ".join(f"{side:g}" for side in np.asarray(self.state.box.lengths))
+        lists = "; ".join(
+            f"{name} {n.grid.reach:.4g} + {n.grid.skin:.2g}" for name, n in zip(names, self.state.neighbours)
+        )
+        mass = np.asarray(self.fluid.mass)
+        return "\n".join(
+            [
+                f"{self.colloids} colloids and {self.solvents} solvent beads in {sides}, phi {self.phi:.4f}",
+                f"colloids: radius {float(self.fluid.radius[COLLOID]):g}{self._spread()}, mass {mass[COLLOID]:.4g}; "
+                f"solvent mass {mass[SOLVENT]:g}",
+                f"cut-offs between centres, and skins: {lists}",
+                f"kT {float(self.fluid.kT):g}, dt {self.dt:.2g}, diffusion time tau {self.tau:.4g}: {self.steps_per_tau:,} steps",
+                f"one tau is {self.steps_per_tau * self.state.n:.2g} particle-steps (dpdjax bench tells how many a second)",
+            ]
+        )
+
+    def _spread(self) -> str:
+        sizes = np.asarray(self.state.size)[self.solvents :]
+        return f" ({sizes.min():.3g} to {sizes.max():.3g} of it)" if np.ptp(sizes) else ""
+
+
+def suspension(
+    key,
+    *,
+    phi: float,
+    box=None,
+    colloids: int | None = None,
+    radius=1.0,
+    spread: float = 0.0,
+    density: float = 3.0,
+    skin: float | None = None,
+    dt: float | None = None,
+    sheared: bool = True,
+    report=print,
+    **numbers,
+) -> Suspension:
+    """Colloids at a volume fraction in a solvent, placed at random.
+
+    ``density (1 - phi) V`` solvent beads, rounded down, lie outside the colloids, which keep a small gap from each
+    other. The solvent starts without structure and warm: let it settle for some time units.
+
+    Args:
+        key: a PRNG key; the same one may drive the run.
+        phi: volume fraction of the colloids, up to about 0.45.
+        box: one side or three [length]; or give ``colloids``, and the box is a cube.
+        colloids: number of colloids, instead of the box.
+        radius: of a colloid, or the radii of all of them (colloids,) [length].
+        spread: standard deviation of the radius over its mean, Gaussian. Masses go as the cube.
+        density: solvent beads per volume outside the colloids.
+        skin, dt, sheared: as for :func:`dpdjax.initial_state`.
+        report: told what was made; None for silence.
+        **numbers: all that :func:`dpdjax.colloid_fluid` takes: kT, gamma, eta_0, D0, ...
+
+    Raises ValueError for a box and a number or neither, a volume fraction that cannot be packed, a box too small
+    for the lists.
+    """
+    key = prng_key(key)
+    phi, density = (float(positive(x, name)) for x, name in ((phi, "phi"), (density, "density")))
+    if phi >= 1:
+        raise ValueError(f"phi is {phi:g}; it must be below 1, and can be packed up to about 0.45")
+    radii, lengths = _radii_and_sides(key, phi, box, colloids, radius, spread)
+    mean = float(np.mean(radii)) if np.ndim(radius) else float(radius)
+    fluid = colloid_fluid(radius=mean, density=density, **numbers)
+    space, volume = boxes.box(lengths), float(np.prod(lengths))
+    centres = packing.pack(key, space, radii)
+    solvents = math.floor(density * (1.0 - phi) * volume * (1 + 1e-9))
+    beads = packing.fill(key, space, centres, radii, solvents)
+    counts = (solvents, len(radii))
+    dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
+    size = np.concatenate([np.ones(solvents), radii / mean])
+    position = np.concatenate([np.asarray(beads), np.asarray(centres)])
+    state = placed(fluid, key, space, position, counts, size=size, skin=skin, dt=dt, sheared=sheared)
+    made = Suspension(fluid, state, sphere_volume(radii).sum() / volume, float(diffusion_time(fluid)), dt)
+    if report is not None:
+        report(str(made))
+    return made
+
+
+def _radii_and_sides(key, phi, box, colloids, radius, spread):
+    """Radii (colloids,) and sides (3,) that agree with the volume fraction, one of which is given."""
+    given = np.ndim(radius) == 1
+    colloids = len(radius) if given and colloids is None and box is None else colloids
+    if (box is None) == (colloids is None):
+        raise ValueError("give either box=... (one side or three) or colloids=... (their number)")
+    if given and (spread or box is not None or colloids != len(radius)):
+        raise ValueError(f"{len(radius)} radii are given: leave out box and spread, and give no other number of colloids")
+    if not 0 <= spread < 1 / CUT_SIZES:
+        raise ValueError(f"spread is {spread:g}; it must lie between 0 and {1 / CUT_SIZES:.2f}, so that no radius is negative")
+    positive(radius, "radius")
+    if box is not None:
+        lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
+        colloids = round(phi * lengths.prod() / (sphere_volume(radius) * (1 + 3 * spread**2)))
+        if colloids < 1:
+            raise ValueError(f"phi {phi:g} is less than one colloid of radius {radius:g} in this box; use a larger box")
+        return radius * _sizes(key, colloids, spread), lengths
+    radii = np.asarray(radius, float) if given else radius * _sizes(key, int(colloids), spread)
+    return radii, np.full(3, (sphere_volume(radii).sum() / phi) ** (1 / 3))
+
+
+def _sizes(key, count: int, spread: float) -> np.ndarray:
+    """Relative sizes (count,) of mean about 1."""
+    draw = jax.random.truncated_normal(jax.random.fold_in(key, SIZE_DOMAIN), -CUT_SIZES, CUT_SIZES, (count,))
+    return 1.0 + spread * np.asarray(draw, float)

@@ -1,0 +1,115 @@
+"""Colloids in a DPD solvent: the fluid of a suspension from a few numbers, and what follows from them."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+
+from dpdjax.checks import not_negative, positive
+from dpdjax.model import colloid_laws, laws
+from dpdjax.model.fluid import Fluid, fluid, interaction
+from dpdjax.model.term import Term, term
+
+SOLVENT, COLLOID = 0, 1
+"""Species of a suspension."""
+
+
+def colloid_fluid(
+    *,
+    kT=0.1,
+    gamma=4.5,
+    eta_0=0.3,
+    D0=0.0,
+    kappa=30.0,
+    r0=0.0,
+    radius=1.0,
+    density=3.0,
+    r_c=1.0,
+    repulsion=25.0,
+    modulus=1e4,
+    Delta=1e-3,
+    delta=1e-3,
+    attraction: Term | Sequence[Term] | None = None,
+    solvent_repulsion: Callable = colloid_laws.balanced_repulsion,
+    contact: Callable = colloid_laws.contact,
+    lubrication: Callable = colloid_laws.squeezing_lubrication,
+    noise: str = "exact",
+) -> Fluid:
+    """Solvent beads (species 0) and hard colloids (species 1) that attract, rub and squeeze the solvent between them.
+
+    | pair            | conservative                         | drag                        |
+    |-----------------|--------------------------------------|-----------------------------|
+    | solvent-solvent | ``soft_repulsion``                   | ``central_drag``            |
+    | colloid-solvent | ``balanced_repulsion``               | ``balanced_drag``           |
+    | colloid-colloid | ``contact`` and the attraction       | ``central_drag`` and lubrication |
+
+    Stresses of contacts, of the attraction and of lubrication are kept as ``contact``, ``colloid`` and
+    ``lubrication``. Every number is a leaf, and a traced one will do; ``fluid.set(kT=...)`` alone leaves repulsion and
+    contact as they are, a new fluid scales them.
+
+    Args:
+        kT: thermal energy [energy].
+        gamma: friction of every pair [mass/time].
+        eta_0: viscosity of the solvent, for lubrication [energy time/volume]: that of this gamma, see ``dpd.calibrate``.
+        D0, kappa, r0: depth [energy], inverse range [1/length] and place [length] of a Morse attraction.
+        radius: of a colloid [length].
+        density: solvent beads per volume; a colloid is as heavy as what it displaces.
+        r_c: reach of all forces but the contact's [length].
+        repulsion: strength of the soft repulsions ``a r_c`` [kT].
+        modulus: contact force ``f`` [kT/r_c].
+        Delta, delta: roughness for contacts, and gap below which lubrication is constant [length].
+        attraction: one or more potentials of the gap in place of Morse, e.g. ``dpd.term(dpd.asakura_oosawa, ...)``.
+        solvent_repulsion: or ``dpd.scripts_repulsion``.
+        contact: or ``dpd.scaled_contact``.
+        lubrication: or ``dpd.unequal_lubrication``, exact for unequal radii.
+        noise: ``"exact"``, or ``"literal"`` for drag and noise of colloids as first published, which cools close pairs.
+
+    Raises ValueError for numbers no fluid can have, and an unknown noise.
+    """
+    kT, radius, r_c = not_negative(kT, "kT"), positive(radius, "radius"), positive(r_c, "r_c")
+    eta_0, density = not_negative(eta_0, "eta_0"), positive(density, "density")
+    if noise not in ("exact", "literal"):
+        raise ValueError(f'noise is {noise!r}; it is "exact" or "literal"')
+    if attraction is None:
+        attraction = term(colloid_laws.morse, D0=D0, kappa=kappa, r0=r0, reach=r_c)
+    attraction = [attraction] if isinstance(attraction, Term) else list(attraction)
+    strength, rub = repulsion * kT, {"gamma": gamma, "r_c": r_c}
+    squeeze = {"eta_0": eta_0, "delta": delta}
+    soft = term(laws.soft_repulsion, a=strength / r_c, r_c=r_c)
+    hard = term(contact, f=modulus * kT / r_c, Delta=Delta, r_c=r_c, origin="contact")
+    drag = [term(laws.central_drag, **rub), term(lubrication, **squeeze, reach=r_c, origin="lubrication")]
+    random = None
+    if noise == "literal":
+        drag = [term(colloid_laws.literal_drag, **rub, **squeeze, origin="lubrication")]
+        random = [term(colloid_laws.literal_noise, **rub, **squeeze)]
+    push = term(solvent_repulsion, strength=strength, r_c=r_c)
+    among = [
+        interaction((SOLVENT, SOLVENT), soft, term(laws.central_drag, **rub)),
+        interaction((SOLVENT, COLLOID), push, term(colloid_laws.balanced_drag, **rub)),
+        interaction((COLLOID, COLLOID), [hard, *map(_of_colloids, attraction)], drag, random),
+    ]
+    mass = jnp.stack([jnp.ones_like(density), density * sphere_volume(radius)])
+    return fluid(interactions=among, kT=kT, mass=mass, radius=(None, radius))
+
+
+def sphere_volume(radius):
+    """``4 pi R^3 / 3``."""
+    return 4.0 / 3.0 * math.pi * radius**3
+
+
+def diffusion_time(fluid: Fluid):
+    """The bare diffusion time of a colloid, ``tau = R^2/D`` with ``D = kT/(6 pi eta_0 R)`` [time].
+
+    Results of suspensions are told in ``t/tau``. It supposes stick, and that ``eta_0`` is the viscosity of
+    the solvent. Raises TypeError for a fluid without ``eta_0`` or radius.
+    """
+    radius = fluid.radius[-1]
+    if radius is None:
+        raise TypeError("the last species has no radius; a diffusion time is that of a colloid")
+    return 6.0 * math.pi * fluid.value("eta_0") * radius**3 / fluid.kT
+
+
+def _of_colloids(attraction: Term) -> Term:
+    """The term with its stress under a name of its own."""
+    return dataclasses.replace(attraction, origin=attraction.origin or "colloid")
