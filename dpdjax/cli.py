@@ -1,4 +1,4 @@
-"""The command line: ``dpdjax viscosity``, ``dpdjax calibrate`` and ``dpdjax bench``."""
+"""The command line: ``dpdjax viscosity``, ``calibrate``, ``suspension`` and ``bench``."""
 
 import argparse
 import importlib.util
@@ -60,6 +60,10 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument("--branch", choices=("upper", "lower"), default="upper", help="of two gammas (default: upper)")
     calibrate.set_defaults(work=_calibrate, readable=_answer)
 
+    suspension = commands.add_parser("suspension", help="colloids in a solvent: prepare, run, write GSD frames")
+    _suspended(suspension)
+    suspension.set_defaults(work=_suspension, readable=_suspended_answer, plot=None)
+
     bench = commands.add_parser("bench", help="how fast this machine runs a fluid")
     _fluid(bench)
     bench.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
@@ -71,6 +75,27 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--tangent", action="store_true", help="time the derivative with respect to gamma too")
     bench.set_defaults(work=_bench, readable=_speed, plot=None)
     return parser
+
+
+def _suspended(parser):
+    parser.add_argument("--phi", type=float, required=True, help="volume fraction of the colloids, up to 0.45")
+    parser.add_argument("--box", type=float, default=30.0, help="side of the box (default: 30)")
+    parser.add_argument("--times", type=float, default=1.0, help="how long, in diffusion times tau (default: 1)")
+    parser.add_argument("--out", metavar="FILE.gsd", default=None, help="write frames into a GSD file")
+    parser.add_argument("--frames", type=int, default=100, help="frames to record (default: 100)")
+    parser.add_argument("--settle", type=float, default=10.0, help="time the solvent settles before, in DPD units (default: 10)")
+    parser.add_argument("--D0", type=float, default=0.0, help="depth of the Morse attraction [energy] (default: 0)")
+    parser.add_argument("--kappa", type=float, default=30.0, help="its inverse range (default: 30)")
+    parser.add_argument("--radius", type=float, default=1.0, help="of a colloid (default: 1)")
+    parser.add_argument("--spread", type=float, default=0.0, help="relative standard deviation of the radii (default: 0)")
+    parser.add_argument("--kT", type=float, default=0.1, help="thermal energy (default: 0.1)")
+    parser.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
+    parser.add_argument("--eta0", type=float, default=0.3, help="viscosity of the solvent, for lubrication (default: 0.3)")
+    parser.add_argument("--rate", type=float, default=0.0, help="shear rate [1/time] (default: 0)")
+    parser.add_argument("--density", type=float, default=3.0, help="solvent beads per volume (default: 3)")
+    parser.add_argument("--dt", type=float, default=None, help="time step (default: suits drag, lubrication and contacts)")
+    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def _fluid(parser):
@@ -176,6 +201,84 @@ def _viscosity(arguments):
         "particle_steps": measured.particle_steps,
     }
     return result, lambda: dpd.plot_convergence(measured)
+
+
+def _suspension(arguments):
+    import warnings
+
+    import jax
+
+    import dpdjax as dpd
+
+    _check_out(arguments)
+    warnings.showwarning = lambda message, *_: print(f"dpdjax suspension: note: {message}", file=sys.stderr)
+    began, key = time.monotonic(), jax.random.key(arguments.seed)
+    names = ("phi", "box", "radius", "spread", "density", "kT", "gamma", "D0", "kappa", "dt")
+    numbers = {name: getattr(arguments, name) for name in names}
+    report = lambda text: print(text, file=sys.stderr, flush=True)
+    made = dpd.suspension(key, eta_0=arguments.eta0, sheared=arguments.rate != 0, report=report, **numbers)
+    flow = dpd.shear(arguments.rate) if arguments.rate else None
+    state = made.state
+    if arguments.settle > 0:
+        every = max(1, round(arguments.settle / made.dt / 10))
+        state = dpd.run(made.fluid, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json).final
+    plan = dpd.Plan(arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames)))
+    ran = _run_to(arguments.out, made, state, key, plan, flow, not arguments.json)
+    result = {
+        "colloids": made.colloids,
+        "solvents": made.solvents,
+        "phi": made.phi,
+        "tau": made.tau,
+        "dt": made.dt,
+        "frames": len(ran.frames["time"]),
+        "times": len(ran.frames["time"]) * plan.every * made.dt / made.tau,
+        "temperature": float(ran.frames["temperature"][len(ran.frames["time"]) // 2 :].mean()),
+        "contact_number": _contacts(made, ran.final),
+        "file": arguments.out,
+        "particle_steps": len(ran.frames["time"]) * plan.every * made.state.n,
+        "seconds": round(time.monotonic() - began, 1),
+    }
+    return result, None
+
+
+def _check_out(arguments):
+    """Raise ValueError before the work where its file could not be written."""
+    folder = os.path.dirname(arguments.out or "") or "."
+    if not os.path.isdir(folder):
+        raise ValueError(f"--out {arguments.out}: there is no folder {folder}")
+    for name, least in (("times", 0.0), ("settle", -1.0), ("frames", 1)):
+        if getattr(arguments, name) <= least:
+            raise ValueError(f"--{name} {getattr(arguments, name)}: it must be above {least:g}")
+
+
+def _run_to(path, made, state, key, plan, flow, progress):
+    """The run, with its frames in a GSD file where one is wanted."""
+    import dpdjax as dpd
+
+    if path is None:
+        return dpd.run(made.fluid, state, key, made.dt, plan, flow, progress=progress)
+    return dpd.run_to_gsd(path, made.fluid, state, key, made.dt, plan, flow, progress=progress)
+
+
+def _contacts(made, state) -> float:
+    """Contact number of one state."""
+    import numpy as np
+
+    import dpdjax as dpd
+
+    colloids = np.asarray(state.position)[None, None, made.solvents :]
+    radius = np.asarray(state.size)[made.solvents :] * float(made.fluid.radius[1])
+    spheres = dpd.Spheres(colloids, radius, np.asarray(state.box.lengths), np.asarray(state.box.strain)[None, None])
+    return float(dpd.contact_number(spheres, gap=3.0 / float(made.fluid.value("kappa"))).mean.value)
+
+
+def _suspended_answer(result) -> str:
+    lines = [
+        f"{result['frames']} frames over {result['times']:.3g} tau, "
+        f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s",
+        f"kinetic temperature {result['temperature']:.4g}, contact number {result['contact_number']:.3g} at the end",
+    ]
+    return "\n".join(lines + ([f"wrote {result['file']}"] if result["file"] else []))
 
 
 def _bench(arguments):

@@ -8,18 +8,13 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.flow import quiet
-from dpdjax.measure import colloids
-from dpdjax.measure.colloids import (
-    Spheres,
-    bonded_pairs,
-    bonds,
-    clusters,
-    contact_number,
-    pair_distribution,
-    partial_distribution,
-    spheres,
-    structure_factor,
-)
+from dpdjax.measure import distribution
+from dpdjax.measure.bonds import bonded_pairs, bonds
+from dpdjax.measure.clusters import clusters
+from dpdjax.measure.contacts import contact_number
+from dpdjax.measure.distribution import pair_distribution, partial_distribution
+from dpdjax.measure.scattering import structure_factor
+from dpdjax.measure.spheres import Spheres, spheres
 from dpdjax.measure.structure import radial_distribution
 
 SIDES = np.array([6.0, 7.0, 8.0])
@@ -43,7 +38,9 @@ def lattice_of(strain):
 def gaps_by_force(position, radius, strain):
     """Surface gaps of all images up to two cells away, (n, n, images), and the images, (images, 3)."""
     images = np.array(list(itertools.product((-2, -1, 0, 1, 2), repeat=3)))
-    d = position[None, :, None] + images @ lattice_of(strain) - position[:, None, None]
+    lattice = lattice_of(strain - SIDES[0] / SIDES[1] * np.round(strain * SIDES[1] / SIDES[0]))
+    position = position @ np.linalg.inv(lattice) % 1 @ lattice
+    d = position[None, :, None] + images @ lattice - position[:, None, None]
     return np.linalg.norm(d, axis=-1) - (radius[:, None] + radius[None, :])[..., None], images
 
 
@@ -73,20 +70,15 @@ def one_frame(position, radius=0.5, strain=0.0):
 
 
 @pytest.mark.parametrize("strain", STRAINS)
-@pytest.mark.parametrize("reach", [0.9, 3.0])
-def test_gaps_are_those_of_all_images(strain, reach):
-    """Both ways of counting: by search where the reach is short, by all pairs where not."""
+def test_gaps_are_those_of_all_images(strain):
     position, radius = thrown(60), mixed_radii(60)
-    sides = SIDES if reach > 1 else 1.5 * SIDES
-    h_max = reach - 2 * radius.max()
-    pairs = pair_distribution(Spheres(position * sides / SIDES, radius, sides, strain), bins=8, h_max=h_max, h_min=-0.3)
+    h_max = 3.0 - 2 * radius.max()
+    pairs = pair_distribution(one_frame(position, radius, strain), bins=8, h_min=-0.3)
     edges = np.linspace(-0.3, h_max, 9)
-    scale = sides / SIDES
-    h = nearest_by_force(position, radius / scale[0], strain) * scale[0]
     s = (radius[:, None] + radius[None, :])[np.triu_indices(60, 1)]
     ideal = [np.sum((s + b) ** 3 - (s + a) ** 3) for a, b in zip(edges, edges[1:])]
-    expected = 4 / 3 * np.pi * np.array(ideal) / sides.prod()
-    assert np.allclose(pairs.g * expected, np.histogram(h, edges)[0])
+    expected = 4 / 3 * np.pi * np.array(ideal) / SIDES.prod()
+    assert np.allclose(pairs.g * expected, np.histogram(nearest_by_force(position, radius, strain), edges)[0])
     assert np.allclose(pairs.h, 0.5 * (edges[1:] + edges[:-1]))
 
 
@@ -102,7 +94,7 @@ def test_equal_spheres_have_the_radial_distribution():
 def test_counts_in_small_blocks(monkeypatch):
     gas = Spheres(thrown(2, 37), mixed_radii(37), SIDES, 0.3)
     whole = pair_distribution(gas, bins=9)
-    monkeypatch.setattr(colloids, "PAIRS_AT_ONCE", 100)
+    monkeypatch.setattr(distribution, "PAIRS_AT_ONCE", 100)
     assert np.array_equal(pair_distribution(gas, bins=9).g, whole.g)
 
 
@@ -252,14 +244,7 @@ def test_bonds_by_force():
     tracked, pairs = bonds(gas, gap=0.4, t_max=2.0), bonded_pairs(gas, gap=0.4)
     there = np.zeros((2, 24, 40, 40), bool)
     for b, t in np.ndindex(2, 24):
-        h = gaps_by_force(gas.position[b, t] % SIDES, gas.radius, 0.0)[0].min(axis=-1) if gas.strain[b, t] == 0 else None
-        if h is None:
-            strain = gas.strain[b, t] - 6 / 7 * np.round(gas.strain[b, t] * 7 / 6)
-            x = gas.position[b, t].copy()
-            rows = np.floor(x[:, 1:2] / 7)
-            x = (x - rows * lattice_of(strain)[1]) - np.floor(x[:, 2:] / 8) * lattice_of(0)[2]
-            x[:, 0] %= 6
-            h = gaps_by_force(x, gas.radius, strain)[0].min(axis=-1)
+        h = gaps_by_force(gas.position[b, t], gas.radius[b], gas.strain[b, t])[0].min(axis=-1)
         before = there[b, t - 1] if t else np.zeros((40, 40), bool)
         there[b, t] = np.triu((h < 0.32) | (before & (h <= 0.4)), 1)
         assert np.array_equal(pairs[b][t], np.argwhere(there[b, t]))
@@ -406,12 +391,6 @@ def test_one_species_has_the_whole_distribution():
 
 def recorded(position, coefficients=None, strain=None, flow=None, size=None):
     """What a run would leave behind of beads of species 1, radius 0.5."""
-
-    def value(name):
-        if name not in (coefficients or {}):
-            raise TypeError(f"no term of this fluid has {name!r}")
-        return coefficients[name]
-
     n, frames = position.shape[-2], position.shape[-3]
     records = {"position": position, "time": np.broadcast_to(0.5 * np.arange(frames), position.shape[:-2])}
     return SimpleNamespace(
@@ -422,7 +401,7 @@ def recorded(position, coefficients=None, strain=None, flow=None, size=None):
             species=np.ones(n, int),
             size=np.ones(n) if size is None else size,
         ),
-        fluid=SimpleNamespace(radius=(None, 0.5), value=value),
+        fluid=SimpleNamespace(radius=(None, 0.5), coefficients=coefficients or {}),
     )
 
 
@@ -458,6 +437,36 @@ def test_a_run_is_measured_like_its_spheres():
     assert np.array_equal(structure_factor(run, q_max=3).s, structure_factor(spheres(run), q_max=3).s)
 
 
+def whole(fluid, state):
+    return {f"whole_{name}": x for name, x in dpd.positions(fluid, state).items()}
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_recording_one_species(simulate, key, rate):
+    numbers = [dpd.term(dpd.soft_repulsion, a=5.0, r_c=0.8)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=0.8)]
+    among = [dpd.interaction(groups, *numbers) for groups in ((0, 0), (0, 1), (1, 1))]
+    mixture = dpd.fluid(interactions=among, kT=1.0, radius=(None, 0.3))
+    state = dpd.initial_state(mixture, key, box=3.6, n=(60, 12), dt=0.01, skin=0.15)
+    run = simulate(mixture, state, key, 0.01, dpd.Plan(6, 5), dpd.shear(rate), observe=(dpd.positions_of(1), whole))
+    assert run.final.status == 0
+    for name in ("position", "unwrapped", "velocity"):
+        assert np.array_equal(run.frames[name], run.frames[f"whole_{name}"][:, 60:])
+    strain = (0.05 * rate * np.arange(1, 7) + 0.5) % 1 - 0.5
+    by_hand = Spheres(run.frames["position"], 0.3, 3.6, strain)
+    assert np.allclose(spheres(run).strain, strain)
+    assert np.array_equal(contact_number(run, gap=0.4).series, contact_number(by_hand, gap=0.4).series)
+    if rate == 0:
+        assert np.all(dpd.mean_squared_displacement(run, species=1, t_max=0.1).value[1:] > 0)
+
+
+def test_recording_a_species_that_is_no_group(key):
+    fluid = dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0)], kT=1.0, species=2)
+    state = dpd.initial_state(fluid, key, box=3.0, density=1.0)
+    with pytest.raises(ValueError, match=r"species 1 is no group.* are \(0, 1\); .*dpd.interaction\(\(1, 1\)"):
+        dpd.positions_of(1)(fluid, state)
+    assert dpd.positions_of(1) is dpd.positions_of(1)
+
+
 def spoiled(**changes):
     run = two_species()
     for path, value in changes.items():
@@ -476,7 +485,7 @@ def spoiled(**changes):
         (spoiled(flow=dpd.shear(0.1)), "sheared and recorded no 'strain'.*record it"),
         (spoiled(final__species=np.zeros(50, int)), "no bead is of species 1"),
         (spoiled(fluid__radius=(0.5, None)), "species 1 has no radius"),
-        (spoiled(frames={"position": thrown(3, 7), "time": np.arange(3)}), "7 beads, neither all 50 nor the 20"),
+        (spoiled(frames={"position": thrown(3, 7), "time": np.arange(3)}), "7 of its 50 beads, not the 20 to be measured"),
         (spoiled(final__box__lengths=np.stack([SIDES, 2 * SIDES])), r"different boxes; .*members\(\)"),
     ],
 )
@@ -503,7 +512,7 @@ def test_wrong_partial_runs():
         ({"radius": np.ones(3)}, r"radius has shape \(3,\); \(1, 2, 4\)|radius has shape \(3,\); \(1, 4\)"),
         ({"lengths": 0.0}, "lengths is 0"),
         ({"strain": np.zeros(3)}, r"strain has shape \(3,\); \(1, 2\)"),
-        ({"strain": np.nan}, "strain holds NaN"),
+        ({"strain": np.nan}, "strain is nan; it must be finite"),
         ({"time": np.zeros(3)}, r"time has shape \(3,\); \(2,\)"),
         ({"position": np.full((4, 3), np.nan)}, "position holds NaN"),
         ({"position": np.zeros((4, 2))}, r"position has shape \(4, 2\)"),

@@ -66,10 +66,11 @@ def test_no_gap_is_narrower_than_wanted(fraction, n, spread, shape, gap, key):
     assert np.all(gaps(box, position, radius) > wanted)
 
 
-def test_large_spheres_among_small_ones(key):
-    radius = np.repeat([3.0, 0.3], [2, 900])
-    box = boxes.box((13.0, 12.8, 12.5))
-    assert gaps(box, packing.pack(key, box, radius), radius).min() > 0.02 * 0.3
+def test_a_large_sphere_among_small_ones(key):
+    """It touches so many at once that it would be thrown about, did it not give way less."""
+    radius = np.repeat([3.0, 0.2], [1, 2200])
+    box = boxes.box(12.3)
+    assert gaps(box, packing.pack(key, box, radius), radius).min() > 0.02 * 0.2
 
 
 def test_the_same_key_gives_the_same_bits_and_another_other_spheres(key):

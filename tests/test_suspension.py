@@ -117,12 +117,12 @@ def test_forces_equal_the_sum_over_all_pairs(suspended, settled, key):
     assert set(tally.virial) == {"conservative", "drag", "random", "contact", "colloid", "lubrication"}
 
 
-FLOW = dpd.shear(1.0)
+FLOW, TWENTY = dpd.shear(1.0), dpd.Plan(2, 10)
 
 
 @pytest.fixture(scope="module")
 def run(simulate, suspended, key):
-    return lambda state, plan=dpd.Plan(2, 10): simulate(suspended.fluid, state, key, DT, plan, FLOW)
+    return lambda state, plan=TWENTY: simulate(suspended.fluid, state, key, DT, plan, FLOW)
 
 
 def same_bits(a, b):

@@ -20,7 +20,7 @@ def trajectory(unwrapped, velocity, interval, species=None, mass=(1.0,), flow=No
         frames={"unwrapped": unwrapped, "velocity": velocity},
         interval=interval,
         flow=quiet() if flow is None else flow,
-        final=SimpleNamespace(species=species),
+        final=SimpleNamespace(species=species, size=np.ones(len(species))),
         fluid=SimpleNamespace(mass=np.array(mass)),
     )
 
@@ -126,6 +126,24 @@ def test_drift_is_that_of_the_mass():
     moving = trajectory(velocity * 0.5 * np.arange(20)[:, None, None], velocity, 0.5, np.array([0, 1]), (3.0, 1.0))
     heavy, light = (velocity_autocorrelation(moving, species=s, t_max=1.0).value for s in (0, 1))
     assert np.allclose(heavy, 1.0) and np.allclose(light, 9.0)
+
+
+def test_one_species_recorded_alone():
+    """As if all were recorded, where these have no momentum."""
+    rng, species, mass = np.random.default_rng(9), np.repeat([0, 1], [12, 8]), np.array([1.0, 3.0])
+    x, v = (np.stack(values) for values in zip(*(langevin(rng, np.full(20, RATE), 100, H) for _ in range(4))))
+    x, v = (values - np.average(values, axis=2, weights=mass[species])[:, :, None] for values in (x, v))
+    whole = trajectory(x, v, H, species, mass)
+    alone = SimpleNamespace(**vars(whole))
+    alone.frames = {name: values[:, :, species == 1] for name, values in whole.frames.items()}
+    for measure in (mean_squared_displacement, velocity_autocorrelation):
+        a, b = measure(whole, species=1), measure(alone, species=1)
+        assert np.allclose(a.value, b.value) and np.allclose(a.error, b.error)
+    D = diffusion(alone, species=1, fit=(0.5, 1.0))
+    assert D.value == pytest.approx(diffusion(whole, species=1, fit=(0.5, 1.0)).value)
+    for wrong in (None, 0):
+        with pytest.raises(ValueError, match="recorded 8 of its 20 beads, not the .* to be measured; name their species"):
+            diffusion(alone, species=wrong)
 
 
 @pytest.mark.parametrize(

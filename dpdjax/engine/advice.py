@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete
+from dpdjax.model.colloid_laws import morse
+from dpdjax.model.colloids import diffusion_time
 from dpdjax.model.fluid import Fluid, Interaction
 
 REBUILD_COST = 1.0
@@ -20,6 +22,8 @@ SORTING_COST = 2.4
 CLOSE_NEIGHBOURS = 6
 """Of a colloid in a gel; each shares half of the damping of its pair."""
 SAMPLES = 400
+PRODUCTION_SIDE = 30.0
+"""Shortest side at which a suspension counts as large, in ``r_c``."""
 
 
 def suggest_dt(fluid: Fluid, density) -> float:
@@ -62,6 +66,36 @@ def dt_limits(fluid: Fluid, density) -> list[tuple[str, float]]:
         ),
         ("contact force: dt times the frequency of two touching colloids is to stay below 1", longest(1.0, frequency(colloidal))),
     ]
+
+
+def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
+    """What is allowed in a run with colloids but seldom meant, each with the number that would pass."""
+    numbers = extreme(fluid)
+    if not numbers.has_radii:
+        return []
+    side, tau = float(np.min(state.box.lengths)), _diffusion_time(numbers)
+    found = []
+    if side < PRODUCTION_SIDE:
+        found.append(
+            f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
+        )
+    for t in (t for i in numbers.interactions for t in i.conservative if t.law is morse and t.cut is not None):
+        r0, kappa = float(t.coefficients["r0"]), float(t.coefficients["kappa"])
+        far = r0 + 6.0 / kappa
+        if float(t.cut) < far * (1 - 1e-6):
+            found.append(f"the Morse attraction is cut off at h = {float(t.cut):.3g}: give it a reach of {far:.3g}, r0 + 6/kappa")
+    interval = float(np.max(np.asarray(dt))) * plan.every
+    if interval > tau:
+        found.append(
+            f"frames are {interval:.4g} apart, more than the diffusion time {tau:.4g}: "
+            f"use Plan(every={max(1, math.floor(tau / float(np.max(np.asarray(dt)))))}) or less"
+        )
+    return found
+
+
+def _diffusion_time(numbers) -> float:
+    """That of the colloids; infinite without a viscosity to tell it from."""
+    return float(diffusion_time(numbers)) if float(numbers.coefficients.get("eta_0", 0.0)) > 0 else math.inf
 
 
 def damping_rate(fluid: Fluid, density) -> float:

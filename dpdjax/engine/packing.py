@@ -74,8 +74,8 @@ def pack(key, box: boxes.Box, radius, *, gap: float | None = None):
     position, narrowest, sweeps = _with_room(push, grid)
     if not narrowest >= wanted:
         raise RuntimeError(
-            f"the narrowest gap of spheres of volume fraction {_fraction(lengths, radius):.3g} is still {float(narrowest):.3g} after "
-            f"{int(sweeps)} sweeps, and {gap:.3g} is wanted; use fewer spheres or a larger box, a smaller gap, or another key"
+            f"the narrowest gap of spheres of volume fraction {_fraction(lengths, radius):.3g} is still {float(narrowest):.3g} "
+            f"after {int(sweeps)} sweeps, and {gap:.3g} is wanted; use fewer spheres or a larger box, a smaller gap, or another key"
         )
     return position
 

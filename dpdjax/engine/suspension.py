@@ -17,8 +17,6 @@ from dpdjax.model.fluid import Fluid
 
 SIZE_DOMAIN = 6
 """Folded into the user's key for the sizes of polydisperse colloids."""
-PRODUCTION_SIDE = 30.0
-"""Shortest side at which a suspension counts as large, in ``r_c``."""
 CUT_SIZES = 3.0
 """Gaussian sizes are drawn again beyond this many standard deviations."""
 

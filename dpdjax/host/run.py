@@ -1,6 +1,7 @@
 """The host door: a run in chunks of a compiled program, repaired, reported and interruptible."""
 
 import sys
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from tqdm import tqdm
 from dpdjax.checks import prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
+from dpdjax.engine.advice import cautions
 from dpdjax.engine.chunk import batched, complete_lists, replayed
 from dpdjax.engine.record import recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
@@ -51,6 +53,8 @@ def run(
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
     check_plan(plan)
     check_run(fluid, one, key, dt, flow)
+    for caution in cautions(fluid, state, dt, plan):
+        warnings.warn(caution, stacklevel=2)
     _check_members(fluid, dt, flow, key)
     state = complete_lists(state)
     _refuse(fluid, state, key)

@@ -6,12 +6,9 @@
 Single precision, as users run. The slow tests call this and judge the numbers.
 """
 
-import datetime
 import json
 import math
-import platform
 import sys
-import time
 from pathlib import Path
 
 import jax
@@ -19,9 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import dpdjax as dpd
+import rooms
 from dpdjax.calibration import experiment
 from dpdjax.calibration.goal import viscosity_goal
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from rooms import row
 
 HERE = Path(__file__).parent
 KEY = jax.random.key(2024)
@@ -58,15 +57,6 @@ def sheared(matter, dt, rate, particle_time, side=10.0, count=4, seed=0):
     state = go(matter, state, keys, dt, 4.0, 50, dpd.shear(rate)).final
     run = go(matter, state, keys, dt, particle_time / beads, 20, dpd.shear(rate), dpd.mean(dpd.shear_record))
     return dpd.shear_viscosity(run, skip=0.0, blocks=32), run
-
-
-def row(quantity, state, value, reference="", source="", note=""):
-    """One line of the table; ``value`` and ``reference`` are estimates or numbers."""
-
-    def plain(v):
-        return [v.value, v.error] if isinstance(v, Estimate) else v
-
-    return dict(quantity=quantity, state=state, value=plain(value), reference=plain(reference), source=source, note=note)
 
 
 def lammps(**wanted):
@@ -317,52 +307,14 @@ ROOMS = (
 )  # fmt: skip
 
 
+HEADING = """# Physics at production accuracy
+
+Written by `python tests/physics/measure.py`; do not edit. Reduced units, density 3, standard errors."""
+
+
 def measure(names=()):
-    """Run the named rooms (all by default), and write both files after each."""
-    file = HERE / "results.json"
-    for room in ROOMS:
-        if names and room.__name__ not in names:
-            continue
-        began = time.monotonic()
-        rows = room()
-        results = json.loads(file.read_text()) if file.exists() else {}  # now: other rooms may run beside this one
-        results[room.__name__] = {
-            "title": room.__doc__.strip(),
-            "date": datetime.date.today().isoformat(),
-            "versions": f"dpdjax {dpd.__version__}, jax {jax.__version__}, Python {platform.python_version()}",
-            "device": jax.devices()[0].device_kind,
-            "seconds": round(time.monotonic() - began),
-            "rows": rows,
-        }
-        file.write_text(json.dumps(results, indent=1) + "\n")
-        (HERE / "RESULTS.md").write_text(table(results))
-        print(f"{room.__name__}: {results[room.__name__]['seconds']} s", *map(text, rows), sep="\n  ", flush=True)
-
-
-def text(r) -> str:
-    return f"{r['quantity']} | {r['state']} | {shown(r['value'])} | {shown(r['reference'])} | {r['source']} | {r['note']}"
-
-
-def shown(value) -> str:
-    if isinstance(value, list):
-        return str(Estimate(*value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def table(results) -> str:
-    lines = [
-        "# Physics at production accuracy",
-        "",
-        "Written by `python tests/physics/measure.py`; do not edit. Reduced units, density 3, standard errors.",
-    ]
-    for room in ROOMS:
-        if room.__name__ not in results:
-            continue
-        r = results[room.__name__]
-        lines += ["", f"## {r['title']}", "", f"{r['date']}, {r['versions']}, {r['device']}, {r['seconds']} s", ""]
-        lines += ["| quantity | state | value | reference | source | note |", "|---|---|---|---|---|---|"]
-        lines += [f"| {text(line)} |" for line in r["rows"]]
-    return "\n".join(lines) + "\n"
+    """Run the named rooms, all by default."""
+    rooms.measure(ROOMS, names, "results.json", "RESULTS.md", HEADING)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,122 @@
+"""GSD files: frames of beads that HOOMD-blue, freud and OVITO open."""
+
+import contextlib
+
+import numpy as np
+from tqdm import tqdm
+
+from dpdjax.engine.observables import standard
+from dpdjax.engine.simulate import Plan, Trajectory
+from dpdjax.host.run import next_chunk, run
+
+DRAWN_RADIUS = 0.5
+"""Radius of beads that are points, for drawing alone [length]."""
+RECORDED = ("position", "velocity", "image", "strain")
+
+
+def gsd_record(fluid, state) -> dict:
+    """What a frame of a GSD file holds; give it to ``observe=``."""
+    return {
+        "position": state.position,
+        "velocity": state.velocity,
+        "image": state.image,
+        "strain": state.box.strain,
+    }
+
+
+@contextlib.contextmanager
+def gsd_writer(path, fluid, state, mode: str = "w"):
+    """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that recorded :func:`gsd_record`.
+
+    Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids. Diameters, masses and the
+    box with its tilt are written too; positions are centred, and velocities those of the lab where the flow is given.
+
+    Args:
+        path: file name.
+        fluid, state: what runs, and the state it starts from.
+        mode: ``"w"`` for a new file, ``"r+"`` to go on with one.
+
+    Raises ImportError where the package ``gsd`` is missing.
+    """
+    try:
+        import gsd.hoomd
+    except ImportError as error:
+        raise ImportError("GSD files need the package gsd: pip install gsd") from error
+    template = _beads(fluid, state)
+    with gsd.hoomd.open(str(path), mode) as file:
+        yield lambda frames, flow=None: file.extend(
+            _frame(gsd.hoomd.Frame(), template, state.box, frames, k, flow) for k in range(len(frames["step"]))
+        )
+
+
+def write_gsd(path, trajectory) -> None:
+    """Writes the frames of one run, recorded with ``observe=dpd.gsd_record``, to a new GSD file.
+
+    Raises ValueError for a batch or a run that recorded something else.
+    """
+    if trajectory.is_batch:
+        raise ValueError("a GSD file holds one run; write the members of a batch one by one, trajectory.members()")
+    missing = set(RECORDED) - set(trajectory.frames)
+    if missing:
+        raise ValueError(f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.gsd_record")
+    with gsd_writer(path, trajectory.fluid, trajectory.final) as write:
+        write(trajectory.frames, trajectory.flow)
+
+
+def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int = 10, progress: bool = True) -> Trajectory:
+    """:func:`dpdjax.run` with its frames written to a GSD file as they come, ``piece`` at a time.
+
+    Returns the trajectory with the standard record; positions are in the file alone, so that long runs fit in
+    memory. Ctrl-C ends it early, with all whole pieces in the file.
+    """
+    # Pieces of one length are one program.
+    even = [size for size in range(2, 2 * piece) if plan.frames % size == 0]
+    piece = min(even, key=lambda size: abs(size - piece), default=piece)
+    pieces, done = [], 0
+    with gsd_writer(path, fluid, state) as write, tqdm(total=plan.frames, unit="frame", disable=not progress) as bar:
+        while done < plan.frames:
+            part = Plan(next_chunk(piece, plan.frames - done), plan.every)
+            ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False)
+            if ran.frames:
+                write(ran.frames, flow)
+            pieces.append({name: v for name, v in ran.frames.items() if name not in RECORDED})
+            state, done = ran.final, done + part.frames
+            bar.update(part.frames)
+            if not ran.complete:
+                break
+    frames = {name: np.concatenate([p[name] for p in pieces if p]) for name in pieces[0]}
+    return Trajectory(state, frames, ran.fluid, ran.flow, ran.dt, plan.every, ran.complete)
+
+
+def _beads(fluid, state) -> dict:
+    """What does not change from frame to frame."""
+    species, size = np.asarray(state.species), np.asarray(state.size)
+    radius = np.array([DRAWN_RADIUS if r is None else float(r) for r in fluid.radius])
+    return {
+        "N": len(species),
+        "types": [chr(ord("A") + k) for k in range(fluid.species)],
+        "typeid": species.astype(np.uint32),
+        "mass": (np.asarray(fluid.mass)[species] * size**3).astype(np.float32),
+        "diameter": (2 * radius[species] * size).astype(np.float32),
+    }
+
+
+def _frame(frame, beads, box, frames, k, flow):
+    """One frame, in a box centred on the origin."""
+    lengths, strain = np.asarray(box.lengths, float), float(frames["strain"][k])
+    position = np.array(frames["position"][k], float)
+    # Positions are wrapped along x, a file wants them between the tilted faces.
+    turns = np.floor((position[:, 0] - strain * position[:, 1]) / lengths[0])
+    position[:, 0] -= turns * lengths[0]
+    position -= 0.5 * (lengths + np.array([strain * lengths[1], 0.0, 0.0]))
+    velocity = np.array(frames["velocity"][k], float)
+    if flow is not None:
+        velocity[:, 0] += float(flow.rate_at(frames["time"][k])) * position[:, 1]
+    frame.configuration.step = int(frames["step"][k])
+    frame.configuration.box = [*lengths, strain, 0.0, 0.0]
+    for name, value in beads.items():
+        setattr(frame.particles, name, value)
+    frame.particles.position = position.astype(np.float32)
+    frame.particles.velocity = velocity.astype(np.float32)
+    frame.particles.image = np.asarray(frames["image"][k], np.int32) + np.array([[1, 0, 0]]) * turns[:, None].astype(np.int32)
+    return frame

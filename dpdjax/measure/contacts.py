@@ -1,0 +1,85 @@
+"""Contacts of spheres: how many others are closer to each than a surface gap."""
+
+import dataclasses
+
+import numpy as np
+
+from dpdjax.checks import positive
+from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
+from dpdjax.measure.statistics import Estimate
+from dpdjax.measure.structure import average, draw, pieces_of, standard_error
+
+KAPPA_GAP = 3.0
+"""Spheres closer than this over ``kappa`` are in contact unless told otherwise: a Morse attraction is at a tenth there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ContactNumber:
+    """How many others each sphere is in contact with.
+
+    Attributes:
+        mean: contacts of a sphere, over spheres and frames.
+        z: numbers of contacts, 0 to the largest, (z,).
+        share: of the spheres that have ``z`` contacts, (z,).
+        error: standard error of ``share``, (z,); NaN where there is a single frame.
+        time: of each frame, (frames,) [time].
+        series: contacts of a sphere in each frame, (batch, frames).
+        gap: surface gap below which two spheres are in contact [length].
+    """
+
+    mean: Estimate
+    z: np.ndarray
+    share: np.ndarray
+    error: np.ndarray
+    time: np.ndarray
+    series: np.ndarray
+    gap: float
+
+    def plot(self, ax=None):
+        """Draw the shares with their error band; returns the matplotlib axes."""
+        return draw(ax, self.z, self.share, self.error, "contacts z", "P(z)")
+
+
+def contact_number(what, *, gap: float | None = None) -> ContactNumber:
+    """The number of others closer than ``gap``, its distribution, and its mean in each frame.
+
+    Args:
+        what: :class:`Spheres`, or a run as :func:`spheres` takes it.
+        gap: surface gap below which two spheres are in contact [length]; 3 / kappa for a run whose fluid has a
+            ``kappa``.
+
+    Raises ValueError for a gap that is missing, not above zero or too large for the box (``2 R + gap`` above half
+    the shortest side), and as :func:`spheres` does.
+    """
+    what, gap = spheres_and_gap(what, gap)
+
+    def contacts_of_each(frame):
+        pairs = close_pairs(frame, gap)
+        return np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=what.n)
+
+    contacts = by_frame(what, contacts_of_each)
+    z = np.arange(contacts.max() + 1)
+    shares = np.mean(contacts[..., None, :] == z[:, None], axis=-1)
+    series, error = contacts.mean(axis=-1), standard_error(pieces_of(shares))
+    return ContactNumber(average(series), z, shares.mean((0, 1)), error, what.time, series, gap)
+
+
+def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
+    """The spheres, and the gap or that of the fluid of a run; ValueError for one that will not do."""
+    gap = _gap_of_fluid(what) if gap is None else gap
+    positive(gap, "gap")
+    what, gap = as_spheres(what), float(gap)
+    reach, half = 2 * np.max(what.radius) + gap, 0.5 * np.min(what.lengths)
+    if reach > half:
+        raise ValueError(
+            f"gap is {gap:.6g}: the largest spheres would touch {reach:.6g} apart, above half the shortest side, {half:.6g}; "
+            "take a smaller gap or a larger box"
+        )
+    return what, gap
+
+
+def _gap_of_fluid(what) -> float:
+    kappa = [] if isinstance(what, Spheres) else np.unique(what.fluid.coefficients.get("kappa", []))
+    if len(kappa) != 1:
+        raise ValueError("no gap is given, and no fluid with one kappa tells it; give gap=... [length]")
+    return KAPPA_GAP / float(kappa[0])

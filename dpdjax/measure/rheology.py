@@ -1,0 +1,78 @@
+"""Linear viscoelasticity: storage and loss modulus from oscillatory shear."""
+
+import dataclasses
+
+import numpy as np
+
+from dpdjax.measure.statistics import Estimate, from_replicas
+
+
+@dataclasses.dataclass(frozen=True)
+class Moduli:
+    """The response to a strain ``amplitude sin(frequency t)``: stress over amplitude, by phase.
+
+    Attributes:
+        storage: G', in phase with the strain [energy / volume].
+        loss: G'', in phase with its rate [energy / volume].
+        frequency: angular [1/time].
+        cycles: both moduli of every whole cycle, (cycles, 2).
+    """
+
+    storage: Estimate
+    loss: Estimate
+    frequency: float
+    cycles: np.ndarray
+
+    @property
+    def viscosity(self) -> Estimate:
+        """``G'' / frequency``, the dynamic viscosity."""
+        return self.loss.scaled(1.0 / self.frequency)
+
+
+def moduli(trajectory, *, skip: int = 1, averaged: bool = True) -> Moduli:
+    """Storage and loss modulus of a run under ``dpd.oscillatory_shear``.
+
+    The stress ``-P_xy`` of every whole cycle is fitted by a constant, a sine and a cosine; the error is the
+    scatter of the cycles (and of replicas).
+
+    Args:
+        trajectory: a run, one or replicas, with ``pressure_tensor`` recorded at least 8 times a cycle.
+        skip: cycles left out at the start.
+        averaged: whether frames are means over their interval, ``observe=dpd.mean(dpd.standard)``, as they
+            should be; the sine is then averaged too.
+
+    Raises ValueError for another flow, a scan, and less than two whole cycles after those left out.
+    """
+    amplitude, frequency = _oscillation(trajectory)
+    time = np.atleast_2d(np.asarray(trajectory.frames["time"], float))[0]
+    stress = -np.asarray(trajectory.frames["pressure_tensor"], float)[..., 0, 1].reshape(-1, time.size)
+    interval = float(np.ravel(trajectory.interval)[0])
+    per_cycle = 2 * np.pi / (frequency * interval)
+    if per_cycle < 8:
+        every = max(1, int(per_cycle * trajectory.every / 8))
+        raise ValueError(f"{per_cycle:.3g} frames in a cycle are too few; record at least 8, with every={every}")
+    phases = frequency * (time - 0.5 * interval if averaged else time)
+    turns = np.floor((phases - phases[0]) / (2 * np.pi) + 1e-6).astype(int)
+    whole = [k for k in range(skip, turns[-1] + 1) if np.sum(turns == k) >= np.floor(per_cycle)]
+    if len(whole) * len(stress) < 2:
+        raise ValueError(f"{len(whole)} whole cycles after the first {skip} give no error bar; run at least {skip + 2}")
+    # The mean of a sine over an interval is the sine in its middle, less this factor.
+    damped = np.sinc(frequency * interval / (2 * np.pi)) if averaged else 1.0
+    fits = [_fit(phases[turns == k], member[turns == k]) for member in stress for k in whole]
+    cycles = np.array(fits) / (amplitude * damped)
+    return Moduli(from_replicas(cycles[:, 0]), from_replicas(cycles[:, 1]), frequency, cycles)
+
+
+def _oscillation(trajectory):
+    flow = trajectory.flow
+    if not hasattr(flow, "frequency"):
+        raise ValueError("moduli need a run with flow=dpd.oscillatory_shear(amplitude, frequency)")
+    if np.ndim(flow.amplitude) or np.ndim(flow.frequency) or trajectory.fluid.is_batch:
+        raise ValueError("the batch scans over numbers; measure its members one by one, trajectory.members()")
+    return float(flow.amplitude), float(flow.frequency)
+
+
+def _fit(phase, stress):
+    """Amplitudes of sine and cosine."""
+    design = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
+    return np.linalg.lstsq(design, stress, rcond=None)[0][:2]

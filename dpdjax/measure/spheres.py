@@ -1,0 +1,183 @@
+"""Spheres of a suspension, as its measures take them: read from a run, frame by frame, and pair by pair.
+
+The surface gap of two spheres is ``h = r - R_i - R_j``. Every box may be tilted, each frame by its own strain.
+"""
+
+import dataclasses
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dpdjax.checks import number, positive
+from dpdjax.measure.structure import as_frames, chosen_beads, of_beads, recorded
+
+IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
+"""The box and the 26 around it, in lattice vectors."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Spheres:
+    """Frames of a suspension, from a run by :func:`spheres` or from arrays that broadcast to these shapes.
+
+    Attributes:
+        position: (batch, frames, n, 3), wrapped or not [length].
+        radius: of each bead, (batch, n) [length].
+        lengths: sides of the box, (3,) [length].
+        strain: tilt of the box in each frame, (batch, frames), by default none.
+        time: of each frame, (frames,), by default their number [time].
+
+    Raises ValueError for shapes that do not fit, numbers that are not finite, radii or sides not above zero.
+    """
+
+    position: np.ndarray
+    radius: np.ndarray
+    lengths: np.ndarray
+    strain: np.ndarray = 0.0
+    time: np.ndarray | None = None
+
+    def __post_init__(self):
+        position = as_frames(self.position, "position")
+        batch, frames, n = position.shape[:3]
+        positive(self.radius, "radius")
+        positive(self.lengths, "lengths")
+        fields = {"position": position, "time": np.arange(frames) if self.time is None else self.time}
+        shapes = {"radius": (batch, n), "lengths": (3,), "strain": (batch, frames), "time": (frames,)}
+        for name, shape in shapes.items():
+            fields[name] = _fitted(fields.get(name, getattr(self, name)), shape, name)
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """Spheres in a frame."""
+        return self.position.shape[2]
+
+
+def _fitted(values, shape, name: str) -> np.ndarray:
+    number(values, name)
+    values = np.asarray(values, float)
+    try:
+        return np.broadcast_to(values, shape)
+    except ValueError:
+        raise ValueError(f"{name} has shape {values.shape}; {shape} is wanted, as the positions have it") from None
+
+
+def spheres(trajectory, *, species: int = 1) -> Spheres:
+    """The spheres of one species of a run, with the radius ``fluid.radius[species]`` times each bead's size.
+
+    Args:
+        trajectory: a run recorded with ``observe=dpd.positions_of(species)``, or, without shear, ``dpd.positions``.
+        species: index of the species.
+
+    Raises:
+        ValueError: no recorded positions, or of other beads; a sheared run without ``strain``; a species that
+            is not there or has no radius; members of a batch in different boxes or at different times.
+    """
+    beads = chosen_beads(trajectory, species)
+    radius = trajectory.fluid.radius[species]
+    if radius is None:
+        raise ValueError(f"species {species} has no radius, its beads are points; name another: spheres(trajectory, species=...)")
+    sizes = np.asarray(trajectory.final.size, float)
+    sizes = sizes.reshape(-1, sizes.shape[-1])[:, beads]
+    return of_run(trajectory, beads, np.reshape(radius, (-1, 1)) * sizes)
+
+
+def of_run(trajectory, beads, radius) -> Spheres:
+    """Some beads of a run, with radii (batch, n)."""
+    position = of_beads(recorded(trajectory, "position", sheared=True), trajectory, beads)
+    lengths = _common(trajectory.final.box.lengths, "in different boxes")
+    time = _common(trajectory.frames["time"], "recorded at different times")
+    return Spheres(position, radius, lengths, _strains(trajectory), time)
+
+
+def as_spheres(what) -> Spheres:
+    return what if isinstance(what, Spheres) else spheres(what)
+
+
+def _strains(trajectory):
+    """The strain of each frame, or of all: (batch, frames) or (batch, 1)."""
+    if "strain" in trajectory.frames:
+        return np.atleast_2d(trajectory.frames["strain"])
+    if np.any(np.asarray(trajectory.flow.rate) != 0):
+        raise ValueError(
+            "the run was sheared and recorded no 'strain', so the box of each frame is unknown; record it too: "
+            "observe=dpd.positions_of(species), or [dpd.positions, lambda fluid, state: {'strain': state.box.strain}]"
+        )
+    return np.reshape(trajectory.final.box.strain, (-1, 1))
+
+
+def _common(values, what: str):
+    """The values of the first member; ValueError unless all members have the same."""
+    members = np.atleast_2d(np.asarray(values, float))
+    if not np.allclose(members, members[:1], rtol=1e-6, atol=0):
+        raise ValueError(f"members of the batch are {what}; measure them one by one: trajectory.members()")
+    return members[0]
+
+
+class Frame(NamedTuple):
+    """One configuration: positions (n, 3) in the box, radii (n,), sides (3,), shift of the upper y-image along x."""
+
+    position: np.ndarray
+    radius: np.ndarray
+    lengths: np.ndarray
+    shift: float
+
+
+class Pairs(NamedTuple):
+    """Close pairs: beads ``first < second`` and their surface gap, (pairs,) each."""
+
+    first: np.ndarray
+    second: np.ndarray
+    gap: np.ndarray
+
+
+def shift_of(strain, lengths):
+    """How far the upper y-image is shifted along x, within half a side of zero."""
+    shift = strain * lengths[1]
+    return shift - lengths[0] * np.round(shift / lengths[0])
+
+
+def frames_of(what: Spheres, member: int):
+    """The frames of one member."""
+    lengths = what.lengths
+    for position, shift in zip(what.position[member], shift_of(what.strain[member], lengths)):
+        x = np.array(position, float)
+        x[:, 0] -= shift * np.floor(x[:, 1] / lengths[1])
+        yield Frame(x - lengths * np.floor(x / lengths), what.radius[member], lengths, shift)
+
+
+def by_frame(what: Spheres, measure) -> np.ndarray:
+    """``measure(frame)`` of every frame, (batch, frames, ...)."""
+    return np.array([[measure(frame) for frame in frames_of(what, k)] for k in range(len(what.position))])
+
+
+def nearest(frame: Frame, d):
+    """Separations (3, ...) to the nearest images, and by how many lattice vectors they were longer, (3, ...).
+
+    Changes ``d``; right for separations below half the shortest side.
+    """
+    sides = frame.lengths.reshape(3, *[1] * (d.ndim - 1))
+    if frame.shift != 0:
+        d[0] -= frame.shift * np.rint(d[1] / sides[1])
+    turns = np.rint(d / sides)
+    d -= sides * turns
+    return d, turns
+
+
+def close_pairs(frame: Frame, gap) -> Pairs:
+    """Pairs with a surface gap below ``gap``; the largest spheres must then be within half the shortest side."""
+    n, reach = len(frame.position), 2 * np.max(frame.radius) + gap
+    lattice = np.diag(frame.lengths)
+    lattice[1, 0] = frame.shift
+    points = frame.position[None] + (IMAGES @ lattice)[:, None]
+    around = np.all((points >= -reach) & (points <= frame.lengths + reach), axis=2)
+    points, owner = points[around], np.nonzero(around)[1]
+    first, copy = cKDTree(points).query_pairs(reach, output_type="ndarray").T
+    # The beads themselves come first. A pair across a face is found from either side: keep one.
+    once = (first < n) & (first < owner[copy])
+    first, copy = first[once], copy[once]
+    second = owner[copy]
+    h = np.linalg.norm(points[copy] - points[first], axis=1) - frame.radius[first] - frame.radius[second]
+    return Pairs(*(values[h < gap] for values in (first, second, h)))

@@ -1,0 +1,305 @@
+"""Physics of colloids at production accuracy: writes suspensions.json, and SUSPENSIONS.md from it.
+
+    python tests/physics/suspensions.py              # everything
+    python tests/physics/suspensions.py viscosity ...   # only these
+
+Single precision, as users run.
+"""
+
+import dataclasses
+import math
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import dpdjax as dpd
+import rooms
+from dpdjax.engine import box as boxes
+from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
+from dpdjax.engine.start import placed
+from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from rooms import row
+
+KEY = jax.random.key(2026)
+KT, MASS = 0.1, 4 * math.pi  # of a colloid of radius 1 in a solvent of density 3
+
+
+def go(fluid, state, key, dt, total, every, flow=None, observe=None):
+    """A run of ``total`` time units."""
+    plan = dpd.Plan(max(2, round(total / dt / every)), every)
+    return dpd.run(fluid, state, key, dt, plan, flow, observe=observe, progress=False)
+
+
+# ---------------------------------------------------------------------------- pairs of colloids
+
+
+def spring(h, *, k, h0):
+    """Holds two colloids at a gap."""
+    return 0.5 * k * (h - h0) ** 2
+
+
+def approach(fluid, state):
+    """Relative kinetic temperature along the line of centres, of beads 2 k and 2 k + 1."""
+    d = boxes.displacement(state.box, state.position[0::2], state.position[1::2])
+    e = d / jnp.linalg.norm(d, axis=1, keepdims=True)
+    v = jnp.sum((state.velocity[0::2] - state.velocity[1::2]) * e, axis=1)
+    return {"T": 0.5 * MASS * jnp.mean(v * v)}
+
+
+def pair_temperature():
+    """Relative kinetic temperature of two colloids held at a gap, over kT"""
+    rows = []
+    for h0, k, dt, total in ((0.01, 1e5, 2e-4, 30.0), (0.1, 2e4, 1e-3, 220.0), (0.5, 1000.0, 4e-3, 900.0), (0.9, 400.0, 6e-3, 2000.0)):
+        gamma, eta_0, w = 4.5, 0.3, 1.0 - h0
+        a_sq = 1.5 * math.pi * eta_0 / h0
+        numbers = dict(eta_0=eta_0, delta=0.5 * h0)
+        for noise, expected in (("exact", 1.0), ("literal", (gamma + a_sq) * w**2 / (gamma * w**2 + a_sq))):
+            random = None
+            drag = [
+                dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0),
+                dpd.term(dpd.squeezing_lubrication, reach=1.0, **numbers),
+            ]
+            if noise == "literal":
+                drag = [dpd.term(dpd.literal_drag, gamma=gamma, r_c=1.0, **numbers)]
+                random = [dpd.term(dpd.literal_noise, gamma=gamma, r_c=1.0, **numbers)]
+            hold = dpd.term(spring, k=k, h0=h0, reach=1.2)
+            fluid = dpd.fluid(interactions=[dpd.interaction((0, 0), hold, drag, random)], kT=KT, mass=MASS, radius=(1.0,))
+            run = go(fluid, *_held_pairs(fluid, h0), dt, total * (1.0 if noise == "exact" else 0.2), 50, observe=dpd.mean(approach))
+            T = block_average(run.frames["T"][len(run.frames["T"]) // 20 :] / KT)
+            source = "exact" if noise == "exact" else "zeta of noise over zeta of drag"
+            rows.append(row(f"T/kT at h = {h0:g}, {noise} noise", f"eta_0 0.3, gamma 4.5, dt {dt:g}", T, expected, source))
+    return rows
+
+
+def _held_pairs(fluid, h0, side=8, count=8):
+    """512 pairs far from each other; each has no momentum, so it stays where it is."""
+    cell = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), -1).reshape(-1, 3) * float(side) + 0.5 * side
+    axis = np.array([2.0 + h0, 0.0, 0.0])
+    position = np.stack([cell - 0.5 * axis, cell + 0.5 * axis], axis=1).reshape(-1, 3)
+    state = placed(fluid, KEY, boxes.box(float(side * count)), jnp.asarray(position, jnp.float32), [len(position)], sheared=False)
+    v = state.velocity[0::2]
+    velocity = jnp.stack([v, -v], axis=1).reshape(-1, 3)
+    return dataclasses.replace(state, velocity=velocity), KEY
+
+
+# ---------------------------------------------------------------------------- temperatures and diffusion
+
+
+def temperatures():
+    """Temperatures of solvent and colloids at phi = 0.2"""
+    made = dpd.suspension(KEY, phi=0.2, box=10.0, report=None, sheared=False)
+    keys = jax.random.split(KEY, 2)
+    state = go(made.fluid, _batch(made.state, 2), keys, made.dt, 20.0, 100).final
+    run = go(made.fluid, state, keys, made.dt, 140.0, 40, observe=dpd.mean(by_species))
+    where = f"kT 0.1, gamma 4.5, eta_0 0.3, dt {made.dt:g}, {made.colloids} colloids, {made.solvents} solvent, 2 boxes"
+    return [
+        row("kinetic temperature of the solvent over kT", where, block_average(run.frames["solvent"] / KT), 1.0, "exact, up to O(dt)"),
+        row("kinetic temperature of the colloids over kT", where, block_average(run.frames["colloid"] / KT), 1.0, "exact, up to O(dt)"),
+    ]
+
+
+def by_species(fluid, state):
+    """Kinetic temperature of solvent and colloids; with the total momentum fixed, each has its share of kT."""
+    colloid = state.species == 1
+    mass = fluid.mass[state.species]
+    energy = jnp.sum(mass[:, None] * state.velocity**2, axis=1)
+    total = jnp.sum(mass)
+
+    def of(mine):
+        # <m v^2> = 3 kT (1 - m / M).
+        return jnp.sum(jnp.where(mine, energy, 0.0)) / jnp.sum(jnp.where(mine, 3.0 * (1.0 - mass / total), 0.0))
+
+    return {"solvent": of(~colloid), "colloid": of(colloid)}
+
+
+def _batch(state, count):
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), state)
+
+
+def diffusion():
+    """Diffusion of hard colloids at phi = 0.05"""
+    count, side = 3, 12.0
+    keys = jax.random.split(jax.random.fold_in(KEY, 1), count)
+    made = [dpd.suspension(k, phi=0.05, box=side, report=None, sheared=False, dt=1.4e-3) for k in keys]
+    fluid, dt = made[0].fluid, 1.4e-3
+    state = _stacked([m.state for m in made])
+    state = go(fluid, state, keys, dt, 30.0, 100).final
+    run = go(fluid, state, keys, dt, 240.0, 250, observe=[dpd.positions_of(1), dpd.mean(by_species)])
+    D = dpd.diffusion(run, species=1, fit=(10.0, 30.0))
+    rho, eta = _solvent(run.final, fluid, keys)
+    # Periodic images slow a sphere down (Duenweg & Kremer 1993; Yeh & Hummer 2004), by the suspension's own viscosity.
+    correction = 2.837297 * KT / (6 * math.pi * eta.value * side)
+    infinite = Estimate(D.value + correction, D.error, D.blocks)
+    stick, slip = KT / (6 * math.pi * eta.value), KT / (4 * math.pi * eta.value)
+    where = f"kT 0.1, gamma 4.5, R 1, {made[0].colloids} colloids in {side:g}, {count} boxes, dt {dt:g}"
+    return [
+        row("D from the slope of the MSD", where, D, "", "", "fit 10 to 30 time units"),
+        row("density of the solvent between them", where, rho, 3.0, "nominal"),
+        row("viscosity of the solvent at that density", "gamma 4.5", eta, 0.3, "the guess of seed 000"),
+        row("D without periodic images", where, infinite, "", "", f"+ {correction:.5f}"),
+        row("D over stick, kT/(6 pi eta R)", where, infinite.scaled(1 / stick), 1.0, "Stokes-Einstein, no slip"),
+        row("D over slip, kT/(4 pi eta R)", where, infinite.scaled(1 / slip), 1.0, "Stokes-Einstein, full slip"),
+        row("colloid temperature over kT", where, block_average(run.frames["colloid"] / KT), 1.0, "exact, up to O(dt)"),
+    ]
+
+
+def _stacked(states):
+    """A batch of states whose lists are made as large as the largest."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+
+def _solvent(state, fluid, keys, gamma=4.5, tolerance=0.02):
+    """Density of the solvent between the colloids of a batch, and the viscosity of the pure solvent there."""
+    densities = [free_density(jax.tree.map(lambda leaf: leaf[k], state)) for k in range(len(keys))]
+    rho = from_replicas(densities)
+    pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25 * KT, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)], kT=KT)
+    eta = dpd.measure_viscosity(pure, key=KEY, density=rho.value, tolerance=tolerance).estimate
+    return rho, eta
+
+
+def free_density(state, clearance=0.8, probe=0.5, points=20_000, seed=0):
+    """Solvent beads per volume around random points that lie ``clearance + probe`` or more from every colloid's surface."""
+    rng = np.random.default_rng(seed)
+    x, species = np.asarray(state.position, float), np.asarray(state.species)
+    side = np.asarray(state.box.lengths, float)
+    from scipy.spatial import cKDTree
+
+    trial = rng.random((points, 3)) * side
+    colloids = cKDTree(x[species == 1] % side, boxsize=side)
+    free = trial[colloids.query(trial)[0] > 1.0 + clearance + probe]
+    solvent = cKDTree(np.minimum(x[species == 0] % side, side * (1 - 1e-9)), boxsize=side)
+    return float(np.mean([len(b) for b in solvent.query_ball_point(free, probe)]) / (4 / 3 * math.pi * probe**3))
+
+
+# ---------------------------------------------------------------------------- viscosity
+
+
+def viscosity():
+    """Relative viscosity of hard suspensions"""
+    rows, rate, dt, gamma, side = [], 0.15, 4e-4, 45.0, 10.0
+    for phi, einstein, batchelor in ((0.05, 1.05, 1.14), (0.1, 1.1, 1.31), (0.2, 1.2, 1.75)):
+        made = dpd.suspension(KEY, phi=phi, box=side, gamma=gamma, eta_0=1.1, dt=dt, report=None)
+        flow = dpd.shear(rate)
+        state = go(made.fluid, made.state, KEY, dt, 15.0, 100, flow).final
+        run = go(made.fluid, state, KEY, dt, 60.0, 20, flow, observe=[dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses)])
+        eta = dpd.shear_viscosity(run, skip=0.0, blocks=24)
+        rho = np.mean([free_density(s) for s in (state, run.final)])
+        pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25 * KT, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)], kT=KT)
+        solvent = dpd.measure_viscosity(pure, key=KEY, density=float(rho), tolerance=0.02).estimate
+        relative = Estimate(eta.value / solvent.value, eta.value / solvent.value * math.hypot(eta.error / eta.value, solvent.error / solvent.value))
+        Re, Pe = 3.0 * rate / solvent.value, 6 * math.pi * solvent.value * rate / KT
+        where = f"phi {phi:g}, gamma 45, rate {rate:g}, dt {dt:g}, {made.colloids} colloids in {side:g}"
+        parts = {name[9:]: -float(np.mean(v[..., 0, 1])) / rate for name, v in run.frames.items() if name.startswith("pressure_") and name != "pressure_tensor"}
+        rows += [
+            row("viscosity", where, eta, "", "", f"Re {Re:.2f}, Pe {Pe:.0f}; " + ", ".join(f"{k} {v:.3f}" for k, v in parts.items() if k != "random")),
+            row("density of the solvent between colloids", where, float(rho), 3.0, "nominal"),
+            row("viscosity of the solvent at that density", "gamma 45", solvent, 1.1, "the guess of seed 000"),
+            row("relative viscosity", where, relative, batchelor, "no slip, Pe and Re to 0", f"full slip, first order: {einstein:g}"),
+        ]
+    return rows
+
+
+# ---------------------------------------------------------------------------- forces through the solvent
+
+
+def solvent_force(fluid, state):
+    """Mean of what the solvent pushes two held colloids apart by, along the line of centres."""
+    beads = Beads.of(fluid, state, state.velocity)
+    interaction, neighbours = fluid.interactions[1], state.neighbours[1]
+    pairs = geometry(fluid, state.box, beads, interaction, neighbours.list.idx, 0.0)
+    f = sum_onto_beads(pairs, evaluate(interaction.conservative, pairs, fluid.kT, derivative=True)[1], state.position.shape[0])
+    d = boxes.displacement(state.box, state.position[-2], state.position[-1])
+    return {"push": 0.5 * jnp.dot(f[-2] - f[-1], d / jnp.linalg.norm(d))}
+
+
+GAPS = np.array([0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.8])
+
+
+def mediated():
+    """Potential of mean force W(h) of two colloids through the solvent, D0 = 0"""
+    rows, dt, side = [], 0.02, 7.0
+    for repulsion, name, a_cs in ((dpd.balanced_repulsion, "surface cut-off", 9.62), (dpd.scripts_repulsion, "centre cut-off", 1.98)):
+        pushes = []
+        for h in GAPS:
+            fluid = dpd.colloid_fluid(solvent_repulsion=repulsion, eta_0=0.0).set(mass=jnp.array([1.0, 1e12]))
+            key = jax.random.fold_in(KEY, int(1000 * h))
+            middle = jnp.array([[0.5, 0.5, 0.5]]) * side
+            centres = middle + jnp.array([[-0.5], [0.5]]) * jnp.array([[2.0 + h, 0.0, 0.0]])
+            from dpdjax.engine import packing
+
+            space = boxes.box(side)
+            beads = packing.fill(key, space, centres, np.ones(2), round(3.0 * (side**3 - 2 * 3.4)))
+            state = placed(fluid, key, space, jnp.concatenate([beads, centres]), (len(beads), 2), dt=dt, sheared=False)
+            state = dataclasses.replace(state, velocity=state.velocity.at[-2:].set(0.0))
+            soft = fluid.set(f=0.0, between=(1, 1))
+            state = go(soft, state, key, dt, 20.0, 50).final
+            run = go(soft, state, key, dt, 1400.0, 20, observe=dpd.mean(solvent_force))
+            pushes.append(block_average(run.frames["push"]))
+        W = _integrated(GAPS, pushes)
+        for h, push, w in zip(GAPS, pushes, W):
+            where = f"{name}, a_cs {a_cs:g}, kT 0.1, gamma 4.5, dt {dt:g}, box {side:g}"
+            rows.append(row(f"W/kT at h = {h:g}", where, w, "", "", f"mean force {push}"))
+    return rows
+
+
+def _integrated(h, pushes):
+    """``W(h) = integral from h on of the mean force`` in units of kT, by the trapezoidal rule, 0 at the last gap."""
+    W = [Estimate(0.0, 0.0)]
+    variance = 0.0
+    for k in range(len(h) - 2, -1, -1):
+        step = 0.5 * (h[k + 1] - h[k]) / KT
+        variance += step**2 * (pushes[k].error ** 2 + pushes[k + 1].error ** 2)
+        W.insert(0, Estimate(W[0].value + step * (pushes[k].value + pushes[k + 1].value), math.sqrt(variance)))
+    return W
+
+
+def hold_near(h, *, stiffness, until):
+    """Keeps two colloids from parting: a harmonic wall beyond a gap."""
+    return 0.5 * stiffness * jnp.maximum(h - until, 0.0) ** 2
+
+
+def well():
+    """g(h) of a dilute pair with Morse attraction of 2 kT, colloid-solvent repulsion off and drag on"""
+    dt, side, until, wall, count = 5e-3, 6.4, 0.3, 40.0, 6
+    U = lambda h: 0.2 * (np.exp(-60 * h) - 2 * np.exp(-30 * h))
+    attraction = [dpd.term(dpd.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0), dpd.term(hold_near, stiffness=wall, until=until, reach=1.0)]
+    # A contact soft enough for a long step: at h = 0 it ends as the hard one does, in the exponential.
+    fluid = dpd.colloid_fluid(attraction=attraction, modulus=300.0, Delta=0.02).set(strength=0.0)
+    key = jax.random.fold_in(KEY, 5)
+    keys = jax.random.split(key, count)
+    made = [_pair_in_solvent(fluid, k, side, 1.0, 0.15, dt) for k in keys]
+    state = go(fluid, _stacked(made), keys, dt, 20.0, 50).final
+    gap = lambda fluid, state: {"h": jnp.linalg.norm(boxes.displacement(state.box, state.position[-2], state.position[-1])) - 2.0}
+    run = go(fluid, state, keys, dt, 5000.0, 20, observe=gap)
+    edges = np.array([0.02, 0.035, 0.05, 0.07, 0.09, 0.12, 0.16, 0.2, 0.25, 0.3])
+    middle = np.linspace(edges[:-1], edges[1:], 21)
+    ideal = np.mean((2 + middle) ** 2 * np.exp(-U(middle) / KT), axis=0) * np.diff(edges)
+    counts = np.stack([np.histogram(h, edges)[0] for member in run.frames["h"] for h in np.array_split(member, 4)]) / 1.0
+    share, expected = counts / counts.sum(1, keepdims=True), ideal / ideal.sum()
+    where = f"D0 2 kT, kappa 30, solvent density 1, dt {dt:g}, {count} boxes, wall beyond h = {until:g}"
+    rows = []
+    for k in range(len(expected)):
+        ratio = from_replicas(share[:, k] / expected[k])
+        rows.append(row(f"P(h) over r^2 exp(-U/kT), h from {edges[k]:g} to {edges[k + 1]:g}", where, ratio, 1.0, "exact"))
+    return rows
+
+
+def _pair_in_solvent(fluid, key, side, density, h, dt):
+    from dpdjax.engine import packing
+
+    space = boxes.box(side)
+    centres = 0.5 * side + jnp.array([[-0.5], [0.5]]) * jnp.array([[2.0 + h, 0.0, 0.0]])
+    beads = packing.fill(key, space, centres, np.ones(2), round(density * side**3))
+    return placed(fluid, key, space, jnp.concatenate([beads, centres]), (len(beads), 2), dt=dt, sheared=False)
+
+
+HEADING = """# Colloids at production accuracy
+
+Written by `python tests/physics/suspensions.py`; do not edit. Reduced units, radius 1, standard errors."""
+ROOMS = (pair_temperature, temperatures, diffusion, viscosity, mediated, well)
+
+
+if __name__ == "__main__":
+    rooms.measure(ROOMS, sys.argv[1:], "suspensions.json", "SUSPENSIONS.md", HEADING)
