@@ -24,6 +24,11 @@ SMALLER = {
     "Plan(100, 20)": "Plan(20, 2)",
     "side=10.0": "side=4.0",
     "box=6.0": "box=4.0",
+    "box=12.0": "box=7.0",
+    "Plan(10, 1000)": "Plan(4, 25)",
+    "Plan(100, 500)": "Plan(12, 2)",
+    "Plan(100, 50)": "Plan(4, 10)",
+    "Plan(10, 500)": "Plan(12, 2)",
 }
 """The same lines at a size that suits a test."""
 

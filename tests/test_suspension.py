@@ -206,3 +206,74 @@ def test_scans_over_numbers_of_colloids(suspended, settled, key):
         alone = jax.jit(lambda x: run(**{name: x}))(values[1])
         np.testing.assert_allclose(together[1], alone, atol=1e-9)
         assert not jnp.allclose(together[0], together[1])
+
+
+def test_killed_and_repeated(suspended, settled, simulate, key):
+    again = dpd.suspension(key, phi=0.2, box=8.0, spread=0.1, skin=0.1, density=2.0, dt=DT, report=None, **NUMBERS)
+    assert same_bits(settled, simulate(again.fluid, again.state, key, DT, dpd.Plan(6, 10), dpd.shear(1.0)).final)
+
+
+def test_saved_and_loaded(run, settled, tmp_path):
+    dpd.save_state(tmp_path / "state.npz", settled)
+    loaded = dpd.load_state(tmp_path / "state.npz")
+    assert [n.grid for n in loaded.neighbours] == [n.grid for n in settled.neighbours]
+    assert same_bits(run(loaded).final, run(settled).final)
+
+
+def test_only_the_list_that_overflowed_grows(suspended, settled, key):
+    short = settled.neighbours[2]
+    grid = dataclasses.replace(short.grid, capacity=4)
+    tight = lists.allocate(grid, settled.box, settled.position)
+    assert lists.overflow(tight) == 1
+    state = dataclasses.replace(settled, neighbours=(*settled.neighbours[:2], tight))
+    ran = dpd.run(suspended.fluid, state, key, DT, dpd.Plan(2, 3), progress=False)
+    before, after = ([n.grid.capacity for n in s.neighbours] for s in (state, ran.final))
+    assert after[:2] == before[:2] and after[2] > before[2]
+
+
+def test_suspension_of_given_radii_or_a_given_number(key):
+    radii = np.array([1.0, 0.8, 1.2, 1.0, 0.9, 1.1, 1.0, 1.0])
+    made = dpd.suspension(key, phi=0.05, radius=radii, density=0.2, report=None)
+    np.testing.assert_allclose(made.phi, 0.05)
+    np.testing.assert_allclose(np.asarray(radii_of(made)), radii)
+    same = dpd.suspension(key, phi=0.05, colloids=8, density=0.2, report=None)
+    np.testing.assert_allclose(same.state.box.volume, 8 * 4 / 3 * math.pi / 0.05)
+
+
+def radii_of(made):
+    return radii(made.fluid, made.state)[made.solvents :]
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        (dict(phi=0.2), "give either box"),
+        (dict(phi=0.2, box=9.0, colloids=10), "give either box"),
+        (dict(phi=1.2, box=9.0), "phi is 1.2; it must be below 1"),
+        (dict(phi=0.62, box=12.0), "0.6"),
+        (dict(phi=-0.1, box=9.0), "phi is -0.1"),
+        (dict(phi=0.2, box=9.0, spread=0.5), "spread is 0.5"),
+        (dict(phi=0.2, box=9.0, radius=np.ones(5)), "5 radii are given"),
+        (dict(phi=0.2, box=5.0), r"below 2 \(reach \+ skin\)"),
+        (dict(phi=1e-4, box=9.0), "less than one colloid"),
+        (dict(phi=0.2, box=9.0, noise="wrong"), "noise is 'wrong'"),
+    ],
+    ids=lambda value: str(value),
+)
+def test_suspensions_that_cannot_be(wrong, words, key):
+    with pytest.raises(ValueError, match=words):
+        dpd.suspension(key, report=None, **wrong)
+
+
+def test_groups_from_a_plain_start(key):
+    soft, rub = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0), dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)
+    fluid = dpd.fluid(
+        interactions=[dpd.interaction((0, 0), soft, rub), dpd.interaction((1, 0), dpd.term(dpd.soft_repulsion, a=25.0, r_c=2.0))],
+        kT=1.0, mass=[1.0, 5.0],
+    )  # fmt: skip
+    state = dpd.initial_state(fluid, key, box=5.0, n=[300, 20], sheared=False)
+    assert [n.grid.groups for n in state.neighbours] == [((0, 300), (0, 300)), ((0, 300), (300, 320))]
+    final = dpd.simulate(fluid, state, key, 0.01, dpd.Plan(2, 5)).final
+    assert final.status == 0
+    with pytest.raises(ValueError, match="no bead of species"):
+        dpd.initial_state(fluid, key, box=5.0, n=[300, 0])

@@ -69,7 +69,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     step = suggest_dt(fluid, density) if dt is None else dt
     skin = suggest_skin(fluid, step)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
-    state = each_member(build)(jax.random.split(build_key, boxes))
+    state = jax.vmap(build)(jax.random.split(build_key, boxes))
     _check_dt(fluid, state, step)
     keys = jax.random.split(noise_key, boxes)
     thermal = thermal_time(fluid)

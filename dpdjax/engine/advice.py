@@ -22,6 +22,8 @@ SORTING_COST = 2.4
 CLOSE_NEIGHBOURS = 6
 """Of a colloid in a gel; each shares half of the damping of its pair."""
 SAMPLES = 400
+TOUCHING = 1e-6
+"""Gap of colloids that all but touch, in reaches: some laws are zero in overlap."""
 PRODUCTION_SIDE = 30.0
 """Shortest side at which a suspension counts as large, in ``r_c``."""
 
@@ -79,11 +81,10 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
         found.append(
             f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
         )
-    for t in (t for i in numbers.interactions for t in i.conservative if t.law is morse and t.cut is not None):
-        r0, kappa = float(t.coefficients["r0"]), float(t.coefficients["kappa"])
-        far = r0 + 6.0 / kappa
-        if float(t.cut) < far * (1 - 1e-6):
-            found.append(f"the Morse attraction is cut off at h = {float(t.cut):.3g}: give it a reach of {far:.3g}, r0 + 6/kappa")
+    for t in (t for i in fluid.interactions for t in i.conservative if t.law is morse and t.cut is not None):
+        cut, far = float(np.min(t.cut)), float(np.max(t.coefficients["r0"]) + 6.0 / np.min(t.coefficients["kappa"]))
+        if cut < far * (1 - 1e-6):
+            found.append(f"the Morse attraction is cut off at h = {cut:.3g}: give it a reach of {far:.3g}, r0 + 6/kappa")
     interval = float(np.max(np.asarray(dt))) * plan.every
     if interval > tau:
         found.append(
@@ -94,8 +95,9 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
 
 
 def _diffusion_time(numbers) -> float:
-    """That of the colloids; infinite without a viscosity to tell it from."""
-    return float(diffusion_time(numbers)) if float(numbers.coefficients.get("eta_0", 0.0)) > 0 else math.inf
+    """That of the colloids, the last species; infinite without a viscosity to tell it from."""
+    eta_0 = float(numbers.coefficients.get("eta_0", 0.0))
+    return float(diffusion_time(numbers)) if eta_0 > 0 and numbers.kT > 0 and numbers.radius[-1] is not None else math.inf
 
 
 def damping_rate(fluid: Fluid, density) -> float:
@@ -205,8 +207,17 @@ def _reduced_mass(fluid, interaction) -> float:
 
 def _network_rate(fluid, interaction) -> float:
     """Damping rate of a colloid among close neighbours: half of each pair's largest rate [1/time]."""
-    zeta = sum(float(np.max(_sampled(fluid, interaction, t)[1])) for t in interaction.drag)
+    zeta = sum(_largest_friction(fluid, interaction, t) for t in interaction.drag)
     return 0.5 * CLOSE_NEIGHBOURS * zeta / _reduced_mass(fluid, interaction)
+
+
+def _largest_friction(fluid, interaction, term) -> float:
+    """Largest value of a drag from contact on; from where it is sampled for one without a limit at contact."""
+    law, reach = term.between(np.max, **_given(fluid, interaction))
+    with jax.ensure_compile_time_eval():
+        touching = np.asarray(law(jnp.asarray([0.0, TOUCHING * float(reach)])), float)
+    sampled = float(np.max(_sampled(fluid, interaction, term)[1]))
+    return max(sampled, float(touching.max())) if np.all(np.isfinite(touching)) else sampled
 
 
 def _pair_frequency(fluid, interaction) -> float:

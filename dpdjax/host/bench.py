@@ -101,7 +101,7 @@ def _settled(fluid, key, beads, density, batch, skin, dt) -> tuple[State, jax.Ar
     side = (beads / density) ** (1 / 3)
     start = lambda k: initial_state(fluid, k, box=side, n=beads, skin=skin, dt=dt, sheared=False)
     keys = key if batch == 1 else jax.random.split(key, batch)
-    state = start(keys) if batch == 1 else each_member(start)(keys)
+    state = start(keys) if batch == 1 else jax.vmap(start)(keys)
     coarse = max(float(dt), suggest_dt(fluid, density))
     steps = min(SETTLE, LARGEST_SETTLE / (beads * batch))
     state = run(fluid, state, keys, coarse, Plan(max(2, int(steps / 5)), 5), progress=False).final.restarted()

@@ -77,31 +77,50 @@ def plot_convergence(measured, ax=None):
     return ax.figure
 
 
-def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None):
-    """A slice through the box, beads as discs of radius 0.5 shaded by depth; returns the figure.
+def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, fluid=None):
+    """A slice through the box: beads as discs of radius 0.5 shaded by depth, colloids as the discs they are cut in.
+
+    Returns the figure.
 
     Args:
         state: one state.
         axis: 0, 1 or 2, the direction one looks along.
         thickness: of the slice [length]; one interaction range by default.
+        fluid: tells the radii of the species; without it all beads are points.
     """
     ax = _axes(ax)
-    from matplotlib.collections import EllipseCollection
-
-    position = np.asarray(state.position)
-    sides = np.asarray(state.box.lengths)
+    position, sides = np.asarray(state.position), np.asarray(state.box.lengths)
     thickness = 1.0 if thickness is None else thickness
     flat = [k for k in range(3) if k != axis]
-    inside = position[position[:, axis] < thickness]
-    inside = inside[np.argsort(inside[:, axis])]
-    discs = EllipseCollection(
-        1.0, 1.0, 0.0, units="xy", offsets=inside[:, flat], offset_transform=ax.transData,
-        array=inside[:, axis], cmap="Blues", edgecolor="0.3", linewidth=0.5, alpha=0.9,
-    )  # fmt: skip
-    ax.add_collection(discs)
-    ax.figure.colorbar(discs, ax=ax, label=f"{'xyz'[axis]} (r_c)")
+    radius = np.zeros(len(position)) if fluid is None else _radii(fluid, state)
+    inside = (position[:, axis] < thickness) & (radius == 0)
+    shallow = np.flatnonzero(inside)[np.argsort(position[inside, axis])]
+    beads = _discs(ax, position[shallow][:, flat], 0.5, array=position[shallow, axis], cmap="Blues", edgecolor="0.3", alpha=0.9)
+    depth = position[:, axis] - 0.5 * thickness
+    depth -= sides[axis] * np.round(depth / sides[axis])
+    cut = np.flatnonzero(np.abs(depth) < radius)
+    around = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * sides[flat]
+    for image in around if len(cut) else ():
+        centres = position[cut][:, flat] + image
+        _discs(ax, centres, np.sqrt(radius[cut] ** 2 - depth[cut] ** 2), facecolor="C1", edgecolor="0.2", alpha=0.95)
+    ax.figure.colorbar(beads, ax=ax, label=f"{'xyz'[axis]} (r_c)")
     ax.set(
         xlim=(0, sides[flat[0]]), ylim=(0, sides[flat[1]]), aspect="equal",
         xlabel=f"{'xyz'[flat[0]]} (r_c)", ylabel=f"{'xyz'[flat[1]]} (r_c)",
     )  # fmt: skip
     return ax.figure
+
+
+def _discs(ax, centres, radius, **style):
+    from matplotlib.collections import EllipseCollection
+
+    diameter = np.broadcast_to(2.0 * np.asarray(radius), len(centres))
+    discs = EllipseCollection(
+        diameter, diameter, np.zeros(len(centres)), units="xy", offsets=centres, offset_transform=ax.transData, linewidth=0.5, **style
+    )
+    return ax.add_collection(discs)
+
+
+def _radii(fluid, state):
+    of_species = np.array([0.0 if r is None else float(r) for r in fluid.radius])
+    return of_species[np.asarray(state.species)] * np.asarray(state.size)

@@ -39,25 +39,27 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool = True) -> Moduli:
         trajectory: a run, one or replicas, with ``pressure_tensor`` recorded at least 8 times a cycle.
         skip: cycles left out at the start.
         averaged: whether frames are means over their interval, ``observe=dpd.mean(dpd.standard)``, as they
-            should be; the sine is then averaged too.
+            should be; the sine is then averaged too. False for snapshots.
 
-    Raises ValueError for another flow, a scan, and less than two whole cycles after those left out.
+    Raises ValueError for another flow, a scan, no recorded stress, and less than two whole cycles after those left out.
     """
     amplitude, frequency = _oscillation(trajectory)
-    time = np.atleast_2d(np.asarray(trajectory.frames["time"], float))[0]
+    time = _common_time(trajectory.frames)
     stress = -np.asarray(trajectory.frames["pressure_tensor"], float)[..., 0, 1].reshape(-1, time.size)
     interval = float(np.ravel(trajectory.interval)[0])
+    steps = trajectory.every if averaged else 1
     per_cycle = 2 * np.pi / (frequency * interval)
     if per_cycle < 8:
         every = max(1, int(per_cycle * trajectory.every / 8))
         raise ValueError(f"{per_cycle:.3g} frames in a cycle are too few; record at least 8, with every={every}")
-    phases = frequency * (time - 0.5 * interval if averaged else time)
+    # The mean of a sine over equal steps, the last at the time of the frame, is the sine in their middle, less a factor.
+    half = 0.5 * frequency * interval / trajectory.every
+    phases = frequency * time - (steps - 1) * half
     turns = np.floor((phases - phases[0]) / (2 * np.pi) + 1e-6).astype(int)
     whole = [k for k in range(skip, turns[-1] + 1) if np.sum(turns == k) >= np.floor(per_cycle)]
     if len(whole) * len(stress) < 2:
         raise ValueError(f"{len(whole)} whole cycles after the first {skip} give no error bar; run at least {skip + 2}")
-    # The mean of a sine over an interval is the sine in its middle, less this factor.
-    damped = np.sinc(frequency * interval / (2 * np.pi)) if averaged else 1.0
+    damped = np.sin(steps * half) / (steps * np.sin(half))
     fits = [_fit(phases[turns == k], member[turns == k]) for member in stress for k in whole]
     cycles = np.array(fits) / (amplitude * damped)
     return Moduli(from_replicas(cycles[:, 0]), from_replicas(cycles[:, 1]), frequency, cycles)
@@ -70,6 +72,16 @@ def _oscillation(trajectory):
     if np.ndim(flow.amplitude) or np.ndim(flow.frequency) or trajectory.fluid.is_batch:
         raise ValueError("the batch scans over numbers; measure its members one by one, trajectory.members()")
     return float(flow.amplitude), float(flow.frequency)
+
+
+def _common_time(frames):
+    """Times (frames,) that all replicas share."""
+    if "pressure_tensor" not in frames:
+        raise ValueError("the run recorded no 'pressure_tensor'; use observe=dpd.mean(dpd.standard)")
+    times = np.atleast_2d(np.asarray(frames["time"], float))
+    if np.ptp(times, axis=0).any():
+        raise ValueError("members of the batch were recorded at different times; measure them one by one, trajectory.members()")
+    return times[0]
 
 
 def _fit(phase, stress):

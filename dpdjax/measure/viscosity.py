@@ -202,6 +202,8 @@ _DIFFER = "the members of this batch differ; measure each: [dpd.shear_viscosity(
 
 
 def _one_rate(trajectory) -> float:
+    if hasattr(trajectory.flow, "frequency"):
+        raise ValueError("the shear of this run oscillates; use dpd.moduli(trajectory).viscosity")
     _refuse_scan(trajectory)
     rate = _shared(trajectory.flow.rate)
     if rate == 0:

@@ -143,7 +143,9 @@ class Fluid:
             raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
         known = {name for i in chosen for t in i.terms for name in t.coefficients}
         for name in numbers:
-            if name not in known and (name not in ("kT", "mass") or between is not None):
+            if name not in known and between is not None:
+                raise TypeError(f"no term between {between} has {name!r}; they have {', '.join(sorted(known))}")
+            if name not in known and name not in ("kT", "mass"):
                 raise TypeError(_unknown(name, self))
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass

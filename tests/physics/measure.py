@@ -14,13 +14,13 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import rooms
+from rooms import row
 
 import dpdjax as dpd
-import rooms
 from dpdjax.calibration import experiment
 from dpdjax.calibration.goal import viscosity_goal
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
-from rooms import row
 
 HERE = Path(__file__).parent
 KEY = jax.random.key(2024)

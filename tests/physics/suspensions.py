@@ -7,20 +7,23 @@ Single precision, as users run.
 """
 
 import dataclasses
+import json
 import math
 import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import rooms
+from rooms import row
+from scipy.spatial import cKDTree
 
 import dpdjax as dpd
-import rooms
 from dpdjax.engine import box as boxes
+from dpdjax.engine import packing
 from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
 from dpdjax.engine.start import placed
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
-from rooms import row
 
 KEY = jax.random.key(2026)
 KT, MASS = 0.1, 4 * math.pi  # of a colloid of radius 1 in a solvent of density 3
@@ -51,7 +54,8 @@ def approach(fluid, state):
 def pair_temperature():
     """Relative kinetic temperature of two colloids held at a gap, over kT"""
     rows = []
-    for h0, k, dt, total in ((0.01, 1e5, 2e-4, 30.0), (0.1, 2e4, 1e-3, 220.0), (0.5, 1000.0, 4e-3, 900.0), (0.9, 400.0, 6e-3, 2000.0)):
+    held = ((0.01, 1e5, 2e-4, 30.0), (0.1, 2e4, 1e-3, 220.0), (0.5, 1000.0, 4e-3, 900.0), (0.9, 400.0, 6e-3, 2000.0))
+    for h0, k, dt, total in held:
         gamma, eta_0, w = 4.5, 0.3, 1.0 - h0
         a_sq = 1.5 * math.pi * eta_0 / h0
         numbers = dict(eta_0=eta_0, delta=0.5 * h0)
@@ -95,8 +99,8 @@ def temperatures():
     run = go(made.fluid, state, keys, made.dt, 140.0, 40, observe=dpd.mean(by_species))
     where = f"kT 0.1, gamma 4.5, eta_0 0.3, dt {made.dt:g}, {made.colloids} colloids, {made.solvents} solvent, 2 boxes"
     return [
-        row("kinetic temperature of the solvent over kT", where, block_average(run.frames["solvent"] / KT), 1.0, "exact, up to O(dt)"),
-        row("kinetic temperature of the colloids over kT", where, block_average(run.frames["colloid"] / KT), 1.0, "exact, up to O(dt)"),
+        row(f"kinetic temperature of the {who} over kT", where, block_average(run.frames[who] / KT), 1.0, "exact, up to O(dt)")
+        for who in ("solvent", "colloid")
     ]
 
 
@@ -154,9 +158,19 @@ def _solvent(state, fluid, keys, gamma=4.5, tolerance=0.02):
     """Density of the solvent between the colloids of a batch, and the viscosity of the pure solvent there."""
     densities = [free_density(jax.tree.map(lambda leaf: leaf[k], state)) for k in range(len(keys))]
     rho = from_replicas(densities)
+    return rho, solvent_viscosity(gamma, rho.value, tolerance)
+
+
+def solvent_viscosity(gamma, density, tolerance=0.02):
+    """Viscosity of the pure solvent."""
     pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25 * KT, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)], kT=KT)
-    eta = dpd.measure_viscosity(pure, key=KEY, density=rho.value, tolerance=tolerance).estimate
-    return rho, eta
+    return dpd.measure_viscosity(pure, key=KEY, density=density, tolerance=tolerance).estimate
+
+
+def ratio(a, b):
+    """The quotient of two estimates."""
+    value = a.value / b.value
+    return Estimate(value, abs(value) * math.hypot(a.error / a.value, b.error / b.value), a.blocks)
 
 
 def free_density(state, clearance=0.8, probe=0.5, points=20_000, seed=0):
@@ -164,8 +178,6 @@ def free_density(state, clearance=0.8, probe=0.5, points=20_000, seed=0):
     rng = np.random.default_rng(seed)
     x, species = np.asarray(state.position, float), np.asarray(state.species)
     side = np.asarray(state.box.lengths, float)
-    from scipy.spatial import cKDTree
-
     trial = rng.random((points, 3)) * side
     colloids = cKDTree(x[species == 1] % side, boxsize=side)
     free = trial[colloids.query(trial)[0] > 1.0 + clearance + probe]
@@ -179,24 +191,25 @@ def free_density(state, clearance=0.8, probe=0.5, points=20_000, seed=0):
 def viscosity():
     """Relative viscosity of hard suspensions"""
     rows, rate, dt, gamma, side = [], 0.15, 4e-4, 45.0, 10.0
-    for phi, einstein, batchelor in ((0.05, 1.05, 1.14), (0.1, 1.1, 1.31), (0.2, 1.2, 1.75)):
+    for phi, batchelor in ((0.05, 1.14), (0.1, 1.31), (0.2, 1.75)):
         made = dpd.suspension(KEY, phi=phi, box=side, gamma=gamma, eta_0=1.1, dt=dt, report=None)
         flow = dpd.shear(rate)
         state = go(made.fluid, made.state, KEY, dt, 15.0, 100, flow).final
         run = go(made.fluid, state, KEY, dt, 60.0, 20, flow, observe=[dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses)])
         eta = dpd.shear_viscosity(run, skip=0.0, blocks=24)
-        rho = np.mean([free_density(s) for s in (state, run.final)])
-        pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25 * KT, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)], kT=KT)
-        solvent = dpd.measure_viscosity(pure, key=KEY, density=float(rho), tolerance=0.02).estimate
-        relative = Estimate(eta.value / solvent.value, eta.value / solvent.value * math.hypot(eta.error / eta.value, solvent.error / solvent.value))
+        rho = float(np.mean([free_density(s) for s in (state, run.final)]))
+        solvent = solvent_viscosity(gamma, rho)
         Re, Pe = 3.0 * rate / solvent.value, 6 * math.pi * solvent.value * rate / KT
         where = f"phi {phi:g}, gamma 45, rate {rate:g}, dt {dt:g}, {made.colloids} colloids in {side:g}"
-        parts = {name[9:]: -float(np.mean(v[..., 0, 1])) / rate for name, v in run.frames.items() if name.startswith("pressure_") and name != "pressure_tensor"}
+        left_out = ("pressure_tensor", "pressure_random")
+        origins = [name for name in run.frames if name.startswith("pressure_") and name not in left_out]
+        parts = ", ".join(f"{name[9:]} {-np.mean(run.frames[name][:, 0, 1]) / rate:.3f}" for name in origins)
+        first_order = f"first order in phi: {1 + 2.5 * phi:.3g} no slip, {1 + phi:.3g} full slip"
         rows += [
-            row("viscosity", where, eta, "", "", f"Re {Re:.2f}, Pe {Pe:.0f}; " + ", ".join(f"{k} {v:.3f}" for k, v in parts.items() if k != "random")),
-            row("density of the solvent between colloids", where, float(rho), 3.0, "nominal"),
+            row("viscosity", where, eta, "", "", f"Re {Re:.2f}, Pe {Pe:.0f}; {parts}"),
+            row("density of the solvent between colloids", where, rho, 3.0, "nominal"),
             row("viscosity of the solvent at that density", "gamma 45", solvent, 1.1, "the guess of seed 000"),
-            row("relative viscosity", where, relative, batchelor, "no slip, Pe and Re to 0", f"full slip, first order: {einstein:g}"),
+            row("relative viscosity", where, ratio(eta, solvent), batchelor, "no slip, Pe and Re to 0", first_order),
         ]
     return rows
 
@@ -220,26 +233,19 @@ GAPS = np.array([0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1
 def mediated():
     """Potential of mean force W(h) of two colloids through the solvent, D0 = 0"""
     rows, dt, side = [], 0.02, 7.0
-    for repulsion, name, a_cs in ((dpd.balanced_repulsion, "surface cut-off", 9.62), (dpd.scripts_repulsion, "centre cut-off", 1.98)):
-        pushes = []
+    for repulsion, name, a_cs in ((dpd.balanced_repulsion, "surface", 9.62), (dpd.scripts_repulsion, "centre", 1.98)):
+        # Too heavy to move, so they need no contact, and the step can be long.
+        fluid = dpd.colloid_fluid(solvent_repulsion=repulsion, eta_0=0.0).set(mass=jnp.array([1.0, 1e12]))
+        fluid, pushes = fluid.set(f=0.0, between=(1, 1)), []
         for h in GAPS:
-            fluid = dpd.colloid_fluid(solvent_repulsion=repulsion, eta_0=0.0).set(mass=jnp.array([1.0, 1e12]))
             key = jax.random.fold_in(KEY, int(1000 * h))
-            middle = jnp.array([[0.5, 0.5, 0.5]]) * side
-            centres = middle + jnp.array([[-0.5], [0.5]]) * jnp.array([[2.0 + h, 0.0, 0.0]])
-            from dpdjax.engine import packing
-
-            space = boxes.box(side)
-            beads = packing.fill(key, space, centres, np.ones(2), round(3.0 * (side**3 - 2 * 3.4)))
-            state = placed(fluid, key, space, jnp.concatenate([beads, centres]), (len(beads), 2), dt=dt, sheared=False)
+            state = _pair_in_solvent(fluid, key, side, round(3.0 * (side**3 - 2 * 3.4)), h, dt)
             state = dataclasses.replace(state, velocity=state.velocity.at[-2:].set(0.0))
-            soft = fluid.set(f=0.0, between=(1, 1))
-            state = go(soft, state, key, dt, 20.0, 50).final
-            run = go(soft, state, key, dt, 1400.0, 20, observe=dpd.mean(solvent_force))
+            state = go(fluid, state, key, dt, 20.0, 50).final
+            run = go(fluid, state, key, dt, 1400.0, 20, observe=dpd.mean(solvent_force))
             pushes.append(block_average(run.frames["push"]))
-        W = _integrated(GAPS, pushes)
-        for h, push, w in zip(GAPS, pushes, W):
-            where = f"{name}, a_cs {a_cs:g}, kT 0.1, gamma 4.5, dt {dt:g}, box {side:g}"
+        where = f"a_cs {a_cs:g} (over the cut-off from the {name}), kT 0.1, gamma 4.5, dt {dt:g}, box {side:g}"
+        for h, push, w in zip(GAPS, pushes, _integrated(GAPS, pushes)):
             rows.append(row(f"W/kT at h = {h:g}", where, w, "", "", f"mean force {push}"))
     return rows
 
@@ -260,45 +266,77 @@ def hold_near(h, *, stiffness, until):
     return 0.5 * stiffness * jnp.maximum(h - until, 0.0) ** 2
 
 
+SOFT = dict(modulus=300.0, Delta=0.02)
+"""A contact soft enough for a long step: at h = 0 it ends as the hard one does, in the exponential."""
+
+
+def separation(fluid, state):
+    """Gap of the two colloids."""
+    return {"h": jnp.linalg.norm(boxes.displacement(state.box, state.position[-2], state.position[-1])) - 2.0}
+
+
+def _gaps_of_pairs(fluid, count, side, solvents, h, dt, total):
+    """Gaps over time (boxes, frames) of two colloids that cannot part, in several boxes."""
+    keys = jax.random.split(jax.random.fold_in(KEY, 5), count)
+    state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[_pair_in_solvent(fluid, k, side, solvents, h, dt) for k in keys])
+    state = go(fluid, state, keys, dt, 20.0, 50).final
+    return go(fluid, state, keys, dt, total, 20, observe=separation).frames["h"]
+
+
+def _shares(gaps, edges, weight):
+    """Share of the gaps in each bin over that of ``r^2 weight(h)``, an estimate each; 4 pieces of each box."""
+    middle = np.linspace(edges[:-1], edges[1:], 21)
+    ideal = np.mean((2 + middle) ** 2 * weight(middle), axis=0) * np.diff(edges)
+    counts = np.stack([np.histogram(h, edges)[0] for member in gaps for h in np.array_split(member, 4)])
+    share, expected = counts / counts.sum(1, keepdims=True), ideal / ideal.sum()
+    return [from_replicas(share[:, k] / expected[k]) for k in range(len(expected))]
+
+
 def well():
     """g(h) of a dilute pair with Morse attraction of 2 kT, colloid-solvent repulsion off and drag on"""
-    dt, side, until, wall, count = 5e-3, 6.4, 0.3, 40.0, 6
-    U = lambda h: 0.2 * (np.exp(-60 * h) - 2 * np.exp(-30 * h))
-    attraction = [dpd.term(dpd.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0), dpd.term(hold_near, stiffness=wall, until=until, reach=1.0)]
-    # A contact soft enough for a long step: at h = 0 it ends as the hard one does, in the exponential.
-    fluid = dpd.colloid_fluid(attraction=attraction, modulus=300.0, Delta=0.02).set(strength=0.0)
-    key = jax.random.fold_in(KEY, 5)
-    keys = jax.random.split(key, count)
-    made = [_pair_in_solvent(fluid, k, side, 1.0, 0.15, dt) for k in keys]
-    state = go(fluid, _stacked(made), keys, dt, 20.0, 50).final
-    gap = lambda fluid, state: {"h": jnp.linalg.norm(boxes.displacement(state.box, state.position[-2], state.position[-1])) - 2.0}
-    run = go(fluid, state, keys, dt, 5000.0, 20, observe=gap)
+    dt, until, count = 5e-3, 0.3, 6
+    morse = dpd.term(dpd.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0)
+    wall = dpd.term(hold_near, stiffness=40.0, until=until, reach=1.0)
+    fluid = dpd.colloid_fluid(attraction=[morse, wall], eta_0=0.05, **SOFT).set(strength=0.0)
+    gaps = _gaps_of_pairs(fluid, count, 6.4, round(6.4**3), 0.15, dt, 5000.0)
     edges = np.array([0.02, 0.035, 0.05, 0.07, 0.09, 0.12, 0.16, 0.2, 0.25, 0.3])
-    middle = np.linspace(edges[:-1], edges[1:], 21)
-    ideal = np.mean((2 + middle) ** 2 * np.exp(-U(middle) / KT), axis=0) * np.diff(edges)
-    counts = np.stack([np.histogram(h, edges)[0] for member in run.frames["h"] for h in np.array_split(member, 4)]) / 1.0
-    share, expected = counts / counts.sum(1, keepdims=True), ideal / ideal.sum()
+    U = lambda h: 0.2 * (np.exp(-60 * h) - 2 * np.exp(-30 * h))
     where = f"D0 2 kT, kappa 30, solvent density 1, dt {dt:g}, {count} boxes, wall beyond h = {until:g}"
-    rows = []
-    for k in range(len(expected)):
-        ratio = from_replicas(share[:, k] / expected[k])
-        rows.append(row(f"P(h) over r^2 exp(-U/kT), h from {edges[k]:g} to {edges[k + 1]:g}", where, ratio, 1.0, "exact"))
-    return rows
+    shares = _shares(gaps, edges, lambda h: np.exp(-U(h) / KT))
+    return [
+        row(f"P(h) over r^2 exp(-U/kT), h from {a:g} to {b:g}", where, share, 1.0, "exact")
+        for a, b, share in zip(edges, edges[1:], shares)
+    ]
 
 
-def _pair_in_solvent(fluid, key, side, density, h, dt):
-    from dpdjax.engine import packing
+def free_pair():
+    """g(h) of a dilute pair with D0 = 0 in the solvent, against exp(-W/kT) of held pairs"""
+    dt, until, count, side = 0.02, 1.2, 4, 7.0
+    fluid = dpd.colloid_fluid(attraction=dpd.term(hold_near, stiffness=4.0, until=until, reach=1.0 + until), eta_0=0.0, **SOFT)
+    gaps = _gaps_of_pairs(fluid, count, side, round(3.0 * (side**3 - 2 * 3.4)), 0.6, dt, 6000.0)
+    held = json.loads((rooms.HERE / "suspensions.json").read_text())["mediated"]["rows"][: len(GAPS)]
+    W = np.array([r["value"][0] for r in held])
+    edges = np.array([0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2])
+    where = f"a_cs 9.62, kT 0.1, gamma 4.5, dt {dt:g}, {count} boxes of {side:g}, wall beyond h = {until:g}"
+    shares = _shares(gaps, edges, lambda h: np.exp(-np.interp(h, GAPS, W)))
+    return [
+        row(f"P(h) over r^2 exp(-W/kT), h from {a:g} to {b:g}", where, share, 1.0, "W from the mean force on held pairs")
+        for a, b, share in zip(edges, edges[1:], shares)
+    ]
 
+
+def _pair_in_solvent(fluid, key, side, solvents, h, dt):
+    """Two colloids at a gap in the middle of a cube, and solvent around them."""
     space = boxes.box(side)
     centres = 0.5 * side + jnp.array([[-0.5], [0.5]]) * jnp.array([[2.0 + h, 0.0, 0.0]])
-    beads = packing.fill(key, space, centres, np.ones(2), round(density * side**3))
+    beads = packing.fill(key, space, centres, np.ones(2), solvents)
     return placed(fluid, key, space, jnp.concatenate([beads, centres]), (len(beads), 2), dt=dt, sheared=False)
 
 
 HEADING = """# Colloids at production accuracy
 
 Written by `python tests/physics/suspensions.py`; do not edit. Reduced units, radius 1, standard errors."""
-ROOMS = (pair_temperature, temperatures, diffusion, viscosity, mediated, well)
+ROOMS = (pair_temperature, temperatures, diffusion, viscosity, mediated, free_pair, well)
 
 
 if __name__ == "__main__":
