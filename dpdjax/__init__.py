@@ -34,6 +34,7 @@ _HOMES = {
     "dpdjax.measure.contacts": ["contact_number"],
     "dpdjax.measure.bonds": ["bonded_pairs", "bonds"],
     "dpdjax.measure.clusters": ["clusters"],
+    "dpdjax.measure.solvent": ["solvent_density"],
     "dpdjax.measure.scattering": ["structure_factor"],
     "dpdjax.measure.transport": ["diffusion", "mean_squared_displacement", "velocity_autocorrelation"],
     "dpdjax.measure.rheology": ["Moduli", "moduli"],

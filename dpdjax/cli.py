@@ -206,12 +206,17 @@ def _viscosity(arguments):
 def _suspension(arguments):
     import warnings
 
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: print(f"dpdjax suspension: note: {message}", file=sys.stderr)
+        return _run_suspension(arguments), None
+
+
+def _run_suspension(arguments) -> dict:
     import jax
 
     import dpdjax as dpd
 
-    _check_out(arguments)
-    warnings.showwarning = lambda message, *_: print(f"dpdjax suspension: note: {message}", file=sys.stderr)
+    _check_suspension(arguments)
     began, key = time.monotonic(), jax.random.key(arguments.seed)
     names = ("phi", "box", "radius", "spread", "density", "kT", "gamma", "D0", "kappa", "dt")
     numbers = {name: getattr(arguments, name) for name in names}
@@ -221,10 +226,13 @@ def _suspension(arguments):
     state = made.state
     if arguments.settle > 0:
         every = max(1, round(arguments.settle / made.dt / 10))
-        state = dpd.run(made.fluid, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json).final
+        settled = dpd.run(made.fluid, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json)
+        _go_on_with(settled.complete)
+        state = settled.final
     plan = dpd.Plan(arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames)))
     ran = _run_to(arguments.out, made, state, key, plan, flow, not arguments.json)
-    result = {
+    _go_on_with(ran.frames)
+    return {
         "colloids": made.colloids,
         "solvents": made.solvents,
         "phi": made.phi,
@@ -238,17 +246,26 @@ def _suspension(arguments):
         "particle_steps": len(ran.frames["time"]) * plan.every * made.state.n,
         "seconds": round(time.monotonic() - began, 1),
     }
-    return result, None
 
 
-def _check_out(arguments):
-    """Raise ValueError before the work where its file could not be written."""
+def _go_on_with(what):
+    """Ctrl-C ends a run quietly; raise it again where it left nothing to go on with."""
+    if not what:
+        raise KeyboardInterrupt
+
+
+def _check_suspension(arguments):
+    """Raise ValueError before the work for numbers that cannot be, or a file that could not be written."""
+    from dpdjax.checks import not_negative, positive
+
     folder = os.path.dirname(arguments.out or "") or "."
     if not os.path.isdir(folder):
         raise ValueError(f"--out {arguments.out}: there is no folder {folder}")
-    for name, least in (("times", 0.0), ("settle", -1.0), ("frames", 1)):
-        if getattr(arguments, name) <= least:
-            raise ValueError(f"--{name} {getattr(arguments, name)}: it must be above {least:g}")
+    for name in ("times", "kappa"):
+        positive(getattr(arguments, name), name)
+    not_negative(arguments.settle, "settle")
+    if arguments.frames < 2:
+        raise ValueError(f"frames is {arguments.frames}; it must be at least 2")
 
 
 def _run_to(path, made, state, key, plan, flow, progress):
@@ -269,7 +286,8 @@ def _contacts(made, state) -> float:
     colloids = np.asarray(state.position)[None, None, made.solvents :]
     radius = np.asarray(state.size)[made.solvents :] * float(made.fluid.radius[1])
     spheres = dpd.Spheres(colloids, radius, np.asarray(state.box.lengths), np.asarray(state.box.strain)[None, None])
-    return float(dpd.contact_number(spheres, gap=3.0 / float(made.fluid.value("kappa"))).mean.value)
+    # No force between colloids reaches farther than 1.
+    return float(dpd.contact_number(spheres, gap=min(3.0 / float(made.fluid.value("kappa")), 1.0)).mean.value)
 
 
 def _suspended_answer(result) -> str:

@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from synthetic import FLUID, replace_runs
@@ -31,7 +32,7 @@ def said(capsys, *arguments):
     return status, *capsys.readouterr()
 
 
-@pytest.mark.parametrize("command", [[], ["viscosity"], ["calibrate"], ["bench"]], ids=["", "viscosity", "calibrate", "bench"])
+@pytest.mark.parametrize("command", [[], ["viscosity"], ["calibrate"], ["suspension"], ["bench"]], ids=" ".join)
 def test_help_imports_no_jax(command):
     code = f"""
 import sys
@@ -40,12 +41,13 @@ try:
     main({[*command, "--help"]})
 except SystemExit as end:
     assert end.code == 0
-assert not {{"jax", "jax_md", "matplotlib"}} & set(sys.modules)
+assert not {{"jax", "jax_md", "numpy", "gsd", "matplotlib"}} & set(sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("usage: dpdjax")
     assert ("--tolerance" in done.stdout) == (command in (["viscosity"], ["calibrate"]))
+    assert ("--phi" in done.stdout) == (command == ["suspension"])
 
 
 def test_module_runs_as_a_command():
@@ -125,6 +127,13 @@ def test_plot_writes_a_picture(known, capsys, command, tmp_path):
         (["calibrate", "--viscosity", -1], "viscosity is -1.0; it must be above zero"),
         (["calibrate", "--viscosity", 0.8], "viscosity 0.8 cannot be reached with gamma: the smallest measured is 0.9"),
         (["viscosity", "--plot", "nowhere/at/all.png"], "there is no folder nowhere/at"),
+        (["suspension", "--phi", 0.1, "--out", "nowhere/at/all.gsd"], "there is no folder nowhere/at"),
+        (["suspension", "--phi", -0.1], "phi is -0.1; it must be above zero"),
+        (["suspension", "--phi", 0.1, "--times", 0], "times is 0.0; it must be above zero"),
+        (["suspension", "--phi", 0.1, "--kappa", 0], "kappa is 0.0; it must be above zero"),
+        (["suspension", "--phi", 0.1, "--settle", -1], "settle is -1.0; it must not be negative"),
+        (["suspension", "--phi", 0.1, "--frames", 1], "frames is 1; it must be at least 2"),
+        (["suspension", "--phi", 0.7, "--box", 12], "volume fraction 0.6"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
 )
@@ -136,7 +145,9 @@ def test_errors_are_one_line_on_standard_error(known, capsys, arguments, message
     assert "Traceback" not in err
 
 
-@pytest.mark.parametrize("arguments", [[], ["viscosity", "--gama", "3"], ["calibrate"], ["calibrate", "--viscosity", "x"]], ids=str)
+@pytest.mark.parametrize(
+    "arguments", [[], ["viscosity", "--gama", "3"], ["calibrate"], ["calibrate", "--viscosity", "x"], ["suspension"]], ids=str
+)
 def test_misspelt_commands(capsys, arguments):
     with pytest.raises(SystemExit) as end:
         main(arguments)
@@ -175,3 +186,72 @@ def test_bench_as_json(capsys):
     assert all(result[name] > 0 for name in wanted)
     assert result["beads"] == 200 and result["batch"] == 2
     assert 1 <= result["steps_per_rebuild"] <= 200
+
+
+SMALL = ("--phi", 0.1, "--box", 6, "--radius", 0.5, "--density", 1, "--times", 0.002, "--frames", 10)
+SUSPENSION_KEYS = {
+    "colloids", "solvents", "phi", "tau", "dt", "frames", "times", "temperature", "contact_number", "file", "particle_steps", "seconds",
+}  # fmt: skip
+
+
+def test_suspension_as_json(capsys, tmp_path, monkeypatch):
+    """Settled for as long as the run lasts, so that both are one program."""
+    monkeypatch.chdir(tmp_path)
+    tau = 6 * math.pi * 0.3 * 0.5**3 / 0.1
+    status, out, err = said(capsys, "suspension", *SMALL, "--settle", 0.002 * tau, "--json")
+    assert status == 0 and out.count("\n") == 1, err
+    result = json.loads(out)
+    assert set(result) == SUSPENSION_KEYS
+    assert result["colloids"] == round(0.1 * 6**3 / (math.pi / 6)) and result["solvents"] == math.floor(0.9 * 6**3)
+    assert result["tau"] == pytest.approx(tau) and result["phi"] == pytest.approx(0.1, rel=0.02)
+    assert result["frames"] == 10 and result["times"] == pytest.approx(0.002, rel=0.1)
+    assert 0.05 < result["temperature"] < 0.2 and result["contact_number"] >= 0
+    assert result["file"] is None and list(tmp_path.iterdir()) == []
+    assert "41 colloids and 194 solvent beads" in err and "dpdjax suspension: note: box side 6 is small" in err
+
+
+def test_suspension_writes_a_file(capsys, tmp_path):
+    gsd = pytest.importorskip("gsd.hoomd")
+    path = tmp_path / "sheared.gsd"
+    status, out, err = said(capsys, "suspension", *SMALL, "--settle", 0, "--rate", 2.0, "--spread", 0.1, "--D0", 0.5, "--out", path)
+    assert status == 0, err
+    lines = out.splitlines()
+    assert lines[0].startswith("10 frames over 0.00") and "contact number" in lines[1] and lines[2] == f"wrote {path}"
+    with gsd.open(str(path), "r") as file:
+        assert len(file) == 10 and file[-1].particles.types == ["A", "B"]
+        assert file[-1].particles.N == 194 + sum(file[-1].particles.typeid) and len(set(file[-1].particles.diameter)) > 10
+        assert file[-1].configuration.box[3] == pytest.approx(2.0 * 0.002 * 6 * math.pi * 0.3 * 0.5**3 / 0.1, rel=0.1)
+
+
+def test_numbers_reach_the_suspension(capsys, monkeypatch):
+    asked = {}
+
+    def spy(key, **how):
+        asked.update(how)
+        raise ValueError("seen")
+
+    monkeypatch.setattr(dpd, "suspension", spy)
+    numbers = {"phi": 0.2, "box": 9.0, "radius": 0.7, "spread": 0.1, "density": 2.0, "kT": 0.2, "gamma": 9.0, "D0": 1.0, "kappa": 20.0,
+               "dt": 1e-4}  # fmt: skip
+    options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
+    assert said(capsys, "suspension", *options, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[-1] == "dpdjax suspension: seen"
+    assert {name: asked[name] for name in numbers} == numbers
+    assert asked["eta_0"] == 0.9 and asked["sheared"] is True
+    said(capsys, "suspension", "--phi", 0.2)
+    assert asked["sheared"] is False and asked["dt"] is None and asked["box"] == 30.0
+
+
+@pytest.mark.parametrize("settle", [1, 0], ids=["settling", "running"])
+def test_interrupt_of_a_suspension_ends_it(settle, capsys, monkeypatch):
+    """A run that Ctrl-C ended before its first frame comes back without any."""
+    runs = []
+
+    def run(*_, **how):
+        runs.append(how)
+        return SimpleNamespace(complete=False, frames={}, final=None)
+
+    monkeypatch.setattr(dpd, "suspension", lambda *_, **how: SimpleNamespace(fluid=None, state=None, dt=0.1, tau=10.0))
+    monkeypatch.setattr(dpd, "run", run)
+    status, out, err = said(capsys, "suspension", "--phi", 0.2, "--settle", settle)
+    assert (status, out, err.splitlines()[-1]) == (130, "", "dpdjax suspension: interrupted")
+    assert len(runs) == 1, "nothing is run after it"

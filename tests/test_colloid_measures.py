@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
+from dpdjax.engine import box as boxes
 from dpdjax.engine.flow import quiet
 from dpdjax.measure import distribution
 from dpdjax.measure.bonds import bonded_pairs, bonds
@@ -629,3 +630,24 @@ def test_freud_has_the_same_structure_factor():
     assert np.all(s.vectors <= 8) and filled.sum() == len(s.s) > 30
     assert np.allclose(s.s, other.S_k[1:][filled], rtol=1e-4, atol=1e-4)
     assert np.allclose(s.q, other.bin_centers[1:][filled], atol=3.1 / 1000)
+
+
+@pytest.mark.parametrize("strain", [0.0, 0.4])
+def test_density_of_the_solvent_between_colloids(strain):
+    """Uniform solvent of density 2 outside two spheres that displace twice their radius' worth."""
+    rng, side = np.random.default_rng(7), 12.0
+    colloids = np.array([[3.0, 3.0, 3.0], [8.0, 11.5, 8.0]])
+    box = boxes.Box(np.full(3, side), strain)
+    points = rng.random((int(2 * side**3), 3)) * side
+    clear = np.ones(len(points), bool)
+    for centre in colloids:
+        d = np.asarray(boxes.displacement(box, points, centre[None]))
+        clear &= np.sum(d * d, axis=1) > 1.5**2
+    position = np.concatenate([points[clear], colloids])
+    species = np.repeat([0, 1], [clear.sum(), 2])
+    state = SimpleNamespace(position=position, species=species, size=np.ones(len(species)), box=box)
+    fluid = SimpleNamespace(radius=(None, 1.0))
+    measured = dpd.solvent_density(fluid, state, points=4000)
+    assert abs(measured - 2.0) < 4 * 2.0 / np.sqrt(2 * side**3)
+    with pytest.raises(ValueError, match="smaller clearance"):
+        dpd.solvent_density(fluid, state, clearance=20.0)

@@ -108,3 +108,12 @@ def test_one_point_is_no_line():
         extrapolate([0.1], [Estimate(1.0, 0.1)])
     with pytest.raises(ValueError, match="2 abscissae for 1"):
         extrapolate([0.1, 0.2], [Estimate(1.0, 0.1)])
+
+
+def test_quotient_of_estimates():
+    a, b = Estimate(2.0, 0.1, 8), Estimate(4.0, 0.4)
+    rng = np.random.default_rng(0)
+    draws = rng.normal(2.0, 0.1, 200_000) / rng.normal(4.0, 0.04, 200_000)
+    assert a.over(b).value == 0.5
+    np.testing.assert_allclose(a.over(Estimate(4.0, 0.04)).error, draws.std(), rtol=0.02)
+    np.testing.assert_allclose(a.over(b).error, 0.5 * math.hypot(0.05, 0.1))

@@ -5,8 +5,9 @@ import contextlib
 import numpy as np
 from tqdm import tqdm
 
+from dpdjax.checks import prng_key
 from dpdjax.engine.observables import standard
-from dpdjax.engine.simulate import Plan, Trajectory
+from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run
 from dpdjax.host.run import next_chunk, run
 
 DRAWN_RADIUS = 0.5
@@ -30,6 +31,7 @@ def gsd_writer(path, fluid, state, mode: str = "w"):
 
     Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids. Diameters, masses and the
     box with its tilt are written too; positions are centred, and velocities those of the lab where the flow is given.
+    Images unwrap positions where there is no shear.
 
     Args:
         path: file name.
@@ -68,8 +70,15 @@ def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int
 
     Returns the trajectory with the standard record; positions are in the file alone, so that long runs fit in
     memory. Ctrl-C ends it early, with all whole pieces in the file.
+
+    Raises ValueError for a batch, and as :func:`dpdjax.run` does; a file of that name is then left as it was.
     """
-    # Pieces of one length are one program.
+    if prng_key(key).ndim or state.position.ndim == 3 or fluid.is_batch or np.ndim(dt):
+        raise ValueError("a GSD file holds one run; run the batch with observe=dpd.gsd_record and write its members by write_gsd")
+    check_plan(plan)
+    check_run(fluid, state, key, dt, flow)
+    # Pieces of one length are one program, and of one frame another: its loop is compiled to other rounding.
+    piece = max(2, piece)
     even = [size for size in range(2, 2 * piece) if plan.frames % size == 0]
     piece = min(even, key=lambda size: abs(size - piece), default=piece)
     pieces, done = [], 0

@@ -115,9 +115,8 @@ def _discs(ax, centres, radius, **style):
     from matplotlib.collections import EllipseCollection
 
     diameter = np.broadcast_to(2.0 * np.asarray(radius), len(centres))
-    discs = EllipseCollection(
-        diameter, diameter, np.zeros(len(centres)), units="xy", offsets=centres, offset_transform=ax.transData, linewidth=0.5, **style
-    )
+    style |= {"units": "xy", "offset_transform": ax.transData, "linewidth": 0.5}
+    discs = EllipseCollection(diameter, diameter, np.zeros(len(centres)), offsets=centres, **style)
     return ax.add_collection(discs)
 
 

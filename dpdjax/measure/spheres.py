@@ -166,14 +166,19 @@ def nearest(frame: Frame, d):
     return d, turns
 
 
-def close_pairs(frame: Frame, gap) -> Pairs:
-    """Pairs with a surface gap below ``gap``; the largest spheres must then be within half the shortest side."""
-    n, reach = len(frame.position), 2 * np.max(frame.radius) + gap
+def with_images(frame: Frame, reach) -> tuple[np.ndarray, np.ndarray]:
+    """The beads, and their images within ``reach`` of the box: positions (m, 3), and whose they are (m,)."""
     lattice = np.diag(frame.lengths)
     lattice[1, 0] = frame.shift
     points = frame.position[None] + (IMAGES @ lattice)[:, None]
     around = np.all((points >= -reach) & (points <= frame.lengths + reach), axis=2)
-    points, owner = points[around], np.nonzero(around)[1]
+    return points[around], np.nonzero(around)[1]
+
+
+def close_pairs(frame: Frame, gap) -> Pairs:
+    """Pairs with a surface gap below ``gap``; the largest spheres must then be within half the shortest side."""
+    n, reach = len(frame.position), 2 * np.max(frame.radius) + gap
+    points, owner = with_images(frame, reach)
     first, copy = cKDTree(points).query_pairs(reach, output_type="ndarray").T
     # The beads themselves come first. A pair across a face is found from either side: keep one.
     once = (first < n) & (first < owner[copy])

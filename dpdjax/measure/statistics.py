@@ -32,6 +32,11 @@ class Estimate:
         """The estimate of ``factor`` times the quantity."""
         return Estimate(self.value * factor, self.error * abs(factor), self.blocks)
 
+    def over(self, other: "Estimate") -> "Estimate":
+        """The quotient of two independent estimates, as of a viscosity and that of the solvent."""
+        value = self.value / other.value
+        return Estimate(value, math.hypot(self.error, value * other.error) / abs(other.value), self.blocks)
+
     def deviation(self, other) -> float:
         """Distance from a number or another estimate in combined standard errors; infinite where both are 0."""
         value, error = (other.value, other.error) if isinstance(other, Estimate) else (float(other), 0.0)

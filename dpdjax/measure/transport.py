@@ -31,6 +31,10 @@ class MeanSquaredDisplacement:
     value: np.ndarray
     error: np.ndarray
 
+    def scaled(self, *, time=1.0, length=1.0) -> "MeanSquaredDisplacement":
+        """The same in other units: ``time=tau, length=R`` for diffusion times and radii."""
+        return MeanSquaredDisplacement(self.time / time, self.value / length**2, self.error / length**2)
+
     def plot(self, ax=None):
         """Draw it in double logarithmic scale with its error band; returns the matplotlib axes."""
         label = "mean squared displacement [length$^2$]"

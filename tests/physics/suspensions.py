@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 import rooms
 from rooms import row
-from scipy.spatial import cKDTree
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
@@ -156,7 +155,7 @@ def _stacked(states):
 
 def _solvent(state, fluid, keys, gamma=4.5, tolerance=0.02):
     """Density of the solvent between the colloids of a batch, and the viscosity of the pure solvent there."""
-    densities = [free_density(jax.tree.map(lambda leaf: leaf[k], state)) for k in range(len(keys))]
+    densities = [dpd.solvent_density(fluid, jax.tree.map(lambda leaf: leaf[k], state)) for k in range(len(keys))]
     rho = from_replicas(densities)
     return rho, solvent_viscosity(gamma, rho.value, tolerance)
 
@@ -165,24 +164,6 @@ def solvent_viscosity(gamma, density, tolerance=0.02):
     """Viscosity of the pure solvent."""
     pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25 * KT, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)], kT=KT)
     return dpd.measure_viscosity(pure, key=KEY, density=density, tolerance=tolerance).estimate
-
-
-def ratio(a, b):
-    """The quotient of two estimates."""
-    value = a.value / b.value
-    return Estimate(value, abs(value) * math.hypot(a.error / a.value, b.error / b.value), a.blocks)
-
-
-def free_density(state, clearance=0.8, probe=0.5, points=20_000, seed=0):
-    """Solvent beads per volume around random points that lie ``clearance + probe`` or more from every colloid's surface."""
-    rng = np.random.default_rng(seed)
-    x, species = np.asarray(state.position, float), np.asarray(state.species)
-    side = np.asarray(state.box.lengths, float)
-    trial = rng.random((points, 3)) * side
-    colloids = cKDTree(x[species == 1] % side, boxsize=side)
-    free = trial[colloids.query(trial)[0] > 1.0 + clearance + probe]
-    solvent = cKDTree(np.minimum(x[species == 0] % side, side * (1 - 1e-9)), boxsize=side)
-    return float(np.mean([len(b) for b in solvent.query_ball_point(free, probe)]) / (4 / 3 * math.pi * probe**3))
 
 
 # ---------------------------------------------------------------------------- viscosity
@@ -197,7 +178,7 @@ def viscosity():
         state = go(made.fluid, made.state, KEY, dt, 15.0, 100, flow).final
         run = go(made.fluid, state, KEY, dt, 60.0, 20, flow, observe=[dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses)])
         eta = dpd.shear_viscosity(run, skip=0.0, blocks=24)
-        rho = float(np.mean([free_density(s) for s in (state, run.final)]))
+        rho = float(np.mean([dpd.solvent_density(made.fluid, s) for s in (state, run.final)]))
         solvent = solvent_viscosity(gamma, rho)
         Re, Pe = 3.0 * rate / solvent.value, 6 * math.pi * solvent.value * rate / KT
         where = f"phi {phi:g}, gamma 45, rate {rate:g}, dt {dt:g}, {made.colloids} colloids in {side:g}"
@@ -209,7 +190,7 @@ def viscosity():
             row("viscosity", where, eta, "", "", f"Re {Re:.2f}, Pe {Pe:.0f}; {parts}"),
             row("density of the solvent between colloids", where, rho, 3.0, "nominal"),
             row("viscosity of the solvent at that density", "gamma 45", solvent, 1.1, "the guess of seed 000"),
-            row("relative viscosity", where, ratio(eta, solvent), batchelor, "no slip, Pe and Re to 0", first_order),
+            row("relative viscosity", where, eta.over(solvent), batchelor, "no slip, Pe and Re to 0", first_order),
         ]
     return rows
 
