@@ -28,7 +28,7 @@ def spread_evenly(fluid, density=DENSITY, side=30.0):
     """What the checks read of a state of this density."""
     counts = np.round(density * side**3).astype(int)
     box = SimpleNamespace(lengths=np.full(3, side))
-    return SimpleNamespace(box=box, species=np.repeat(np.arange(2), counts))
+    return SimpleNamespace(box=box, species=np.repeat(np.arange(2), counts), size=np.ones(sum(counts)))
 
 
 @pytest.mark.parametrize("eta_0, rate", [(0.3, 225.0), (1.1, 825.0), (3.0, 2250.0), (10.0, 7500.0)])
@@ -182,3 +182,10 @@ def test_a_run_warns_and_goes_on(made, key, monkeypatch):
     with pytest.warns(UserWarning, match="box side 7 is small") as seen:
         dpd.run(made.fluid, made.state, key, made.dt, dpd.Plan(2, 10), progress=False)
     assert began and len(seen) == 1 and seen[0].filename == __file__
+
+
+def test_the_smallest_colloid_limits_the_step():
+    fluid = dpd.colloid_fluid()
+    mean, small = (advice.dt_limits(fluid, [2.4, 0.05], size) for size in (1.0, 0.5))
+    assert [b[1] / a[1] for a, b in zip(mean, small)] == pytest.approx([1.0, 1.0, 0.5, 0.5**1.5])
+    assert dpd.suggest_dt(fluid, [2.4, 0.05], 0.5) < dpd.suggest_dt(fluid, [2.4, 0.05])

@@ -133,7 +133,7 @@ def test_plot_writes_a_picture(known, capsys, command, tmp_path):
         (["suspension", "--phi", 0.1, "--kappa", 0], "kappa is 0.0; it must be above zero"),
         (["suspension", "--phi", 0.1, "--settle", -1], "settle is -1.0; it must not be negative"),
         (["suspension", "--phi", 0.1, "--frames", 1], "frames is 1; it must be at least 2"),
-        (["suspension", "--phi", 0.7, "--box", 12], "volume fraction 0.6"),
+        (["suspension", "--phi", 0.7, "--box", 12], "volume fraction 0.7"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
 )
@@ -190,7 +190,8 @@ def test_bench_as_json(capsys):
 
 SMALL = ("--phi", 0.1, "--box", 6, "--radius", 0.5, "--density", 1, "--times", 0.002, "--frames", 10)
 SUSPENSION_KEYS = {
-    "colloids", "solvents", "phi", "tau", "dt", "frames", "times", "temperature", "contact_number", "file", "particle_steps", "seconds",
+    "colloids", "solvents", "phi", "tau", "dt", "frames", "times", "temperature", "contact_number", "file", "particle_steps",
+    "seconds",
 }  # fmt: skip
 
 
@@ -231,8 +232,8 @@ def test_numbers_reach_the_suspension(capsys, monkeypatch):
         raise ValueError("seen")
 
     monkeypatch.setattr(dpd, "suspension", spy)
-    numbers = {"phi": 0.2, "box": 9.0, "radius": 0.7, "spread": 0.1, "density": 2.0, "kT": 0.2, "gamma": 9.0, "D0": 1.0, "kappa": 20.0,
-               "dt": 1e-4}  # fmt: skip
+    numbers = {"phi": 0.2, "box": 9.0, "radius": 0.7, "spread": 0.1, "density": 2.0, "kT": 0.2, "gamma": 9.0, "D0": 1.0}
+    numbers |= {"kappa": 20.0, "dt": 1e-4}
     options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
     assert said(capsys, "suspension", *options, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[-1] == "dpdjax suspension: seen"
     assert {name: asked[name] for name in numbers} == numbers

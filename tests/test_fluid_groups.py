@@ -69,12 +69,13 @@ def test_each_pair_of_groups_has_its_own_law():
         (lambda: between(((0, 2), 1)), ["(0, 2) is no group", "follow one another"]),
         (lambda: between(((), 1)), ["() is no group"]),
         (lambda: between((0, 1, 2)), ["between is (0, 1, 2)", "two species"]),
+        (lambda: between(1), ["between is 1", "two species"]),
         (lambda: dpd.interaction((0, 1)), ["without terms"]),
         (lambda: dpd.interaction((0, 1), random=[rub()]), ["without terms"]),
         (lambda: between((0, 1), soft(r_c=-1.0)), ["r_c is -1.0"]),
         (lambda: dpd.interaction((0, 1), drag=rub(-1.0)), ["gamma is -1.0"]),
     ],
-    ids=["overlap", "part of", "gap", "empty", "three", "no terms", "noise alone", "range", "friction"],
+    ids=["overlap", "part of", "gap", "empty", "three", "one", "no terms", "noise alone", "range", "friction"],
 )
 def test_interactions_that_cannot_be(make, parts):
     with refused(ValueError, *parts):

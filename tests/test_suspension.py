@@ -257,6 +257,8 @@ def radii_of(made):
         (dict(phi=0.2, box=5.0), r"below 2 \(reach \+ skin\)"),
         (dict(phi=1e-4, box=9.0), "less than one colloid"),
         (dict(phi=0.2, box=9.0, noise="wrong"), "noise is 'wrong'"),
+        (dict(phi=0.2, box=9.0, noise="literal", lubrication=dpd.unequal_lubrication), "leave lubrication= out"),
+        (dict(phi=0.2, box=9.0, kT=0.0), "kT is 0"),
     ],
     ids=lambda value: str(value),
 )

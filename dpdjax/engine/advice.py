@@ -28,7 +28,7 @@ PRODUCTION_SIDE = 30.0
 """Shortest side at which a suspension counts as large, in ``r_c``."""
 
 
-def suggest_dt(fluid: Fluid, density) -> float:
+def suggest_dt(fluid: Fluid, density, smallest: float = 1.0) -> float:
     """The time step that keeps the temperature error of velocity-Verlet below 0.5 %.
 
     The error is about 0.7 omega dt in an unstructured fluid, with omega the
@@ -36,23 +36,24 @@ def suggest_dt(fluid: Fluid, density) -> float:
     tests/physics/RESULTS.md). Never above a hundredth of the thermal time
     ``r_c sqrt(m / kT)``, nor above 0.7 of what :func:`dt_limits` allows colloids.
 
-    ``density``: beads per volume of all, or one number for each species.
+    ``density``: beads per volume of all, or one number for each species; ``smallest``: relative size of the
+    smallest colloid.
     """
     numbers = extreme(fluid)
     kT = max(float(numbers.kT), 1e-12)
     error = 0.7 / (1.0 + min(repulsion_energy(numbers, density) / kT, 16.0) / 20.0)
     rate = max(damping_rate(numbers, density), 1e-12)
     thermal = math.sqrt(float(np.min(numbers.mass)) / kT) * shortest_reach(numbers)
-    between_colloids = dt_limits(numbers, density)[2:]
+    between_colloids = dt_limits(numbers, density, smallest)[2:]
     return min(0.005 / (error * rate), 0.01 * thermal, *(0.7 * limit for _, limit in between_colloids))
 
 
-def dt_limits(fluid: Fluid, density) -> list[tuple[str, float]]:
+def dt_limits(fluid: Fluid, density, smallest: float = 1.0) -> list[tuple[str, float]]:
     """What limits the time step, and the largest dt it allows [time].
 
     Damping is stable below 2 over its largest rate, accurate below 1 over it; the beads of a solvent, whose
     damping is known on average only, are kept below half of that. Oscillations are stable below 2 over
-    their frequency.
+    their frequency. Lubrication goes as the square of a radius and the mass as the cube: ``smallest`` colloids limit first.
     """
     numbers = extreme(fluid)
     colloidal = [i for i in numbers.interactions if _is_between_colloids(numbers, i)]
@@ -64,9 +65,12 @@ def dt_limits(fluid: Fluid, density) -> list[tuple[str, float]]:
         ("conservative force: dt times the frequency of a pair is to stay below 0.5", longest(0.5, frequency(others))),
         (
             f"lubrication: dt times the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours is to stay below 1",
-            longest(1.0, [_network_rate(numbers, i) for i in colloidal]),
+            smallest * longest(1.0, [_network_rate(numbers, i) for i in colloidal]),
         ),
-        ("contact force: dt times the frequency of two touching colloids is to stay below 1", longest(1.0, frequency(colloidal))),
+        (
+            "contact force: dt times the frequency of two touching colloids is to stay below 1",
+            smallest**1.5 * longest(1.0, frequency(colloidal)),
+        ),
     ]
 
 

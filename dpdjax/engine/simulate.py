@@ -256,14 +256,15 @@ def check_plan(plan):
 
 def check_dt(fluid, state, dt):
     """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot."""
-    if not is_concrete(fluid, dt, state.box.lengths, state.species):
+    if not is_concrete(fluid, dt, state.box.lengths, state.species, state.size):
         return
     largest = float(np.max(np.asarray(dt)))
     counts = np.bincount(np.asarray(state.species), minlength=fluid.species)
     density = counts / float(np.prod(np.asarray(state.box.lengths)))
-    for what, limit in advice.dt_limits(fluid, density):
+    smallest = float(np.min(np.asarray(state.size)))
+    for what, limit in advice.dt_limits(fluid, density, smallest):
         if largest > limit:
             raise ValueError(
                 f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
-                f"use dt = {advice.suggest_dt(fluid, density):.2g} (temperature error 0.5 %)"
+                f"use dt = {advice.suggest_dt(fluid, density, smallest):.2g} (temperature error 0.5 %)"
             )

@@ -71,6 +71,8 @@ def colloid_fluid(
     eta_0, density = not_negative(eta_0, "eta_0"), positive(density, "density")
     if noise not in ("exact", "literal"):
         raise ValueError(f'noise is {noise!r}; it is "exact" or "literal"')
+    if noise == "literal" and lubrication is not colloid_laws.squeezing_lubrication:
+        raise ValueError("literal noise belongs to dpd.squeezing_lubrication; leave lubrication= out")
     if attraction is None:
         attraction = term(colloid_laws.morse, D0=D0, kappa=kappa, r0=r0, reach=r_c)
     attraction = [attraction] if isinstance(attraction, Term) else list(attraction)

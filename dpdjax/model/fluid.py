@@ -224,7 +224,7 @@ def fluid(
 
 def _groups(between) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Both groups as tuples of species, the lower first."""
-    if len(between) != 2:
+    if not hasattr(between, "__len__") or len(between) != 2:
         raise ValueError(f"between is {between}; give two species, or two groups of species")
     first, second = sorted((int(k),) if np.ndim(k) == 0 else tuple(int(s) for s in k) for k in between)
     for group in (first, second):

@@ -44,10 +44,6 @@ class Term:
     reach: Callable | None = dataclasses.field(default=None, metadata={"static": True})
     origin: str | None = dataclasses.field(default=None, metadata={"static": True})
 
-    def asks_for(self, name: str) -> bool:
-        """Whether the law or its reach takes a number that the engine gives."""
-        return name in _keywords(self.law) or (self.reach is not None and name in _keywords(self.reach))
-
     def between(self, table_of=lambda c: c, **given):
         """The law as a function of the gap, and its reach; ``table_of`` looks tables up, ``given`` is of ``GIVEN``."""
         numbers = {name: table_of(c) for name, c in self.coefficients.items()} | given
