@@ -9,11 +9,11 @@ _HOMES = {
     "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag"],
     "dpdjax.model.colloid_laws": [
         "asakura_oosawa", "balanced_cut", "balanced_drag", "balanced_repulsion", "contact", "literal_drag", "literal_noise",
-        "morse", "scaled_contact", "scripts_repulsion", "squeezing_lubrication", "unequal_lubrication", "yukawa",
+        "morse", "scaled_contact", "scripts_repulsion", "solvent_cut", "squeezing_lubrication", "unequal_lubrication", "yukawa",
     ],
     "dpdjax.model.term": ["Term", "reaches", "term"],
     "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid", "interaction"],
-    "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time"],
+    "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time", "pure_solvent"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
     "dpdjax.engine.flow": ["shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field"],
@@ -25,7 +25,7 @@ _HOMES = {
     "dpdjax.engine.simulate": ["Plan", "Trajectory", "simulate"],
     "dpdjax.engine.observables": [
         "configurational_temperature", "instantaneous_viscosity", "momentum", "positions", "positions_of",
-        "pressure_by_origin", "pressure_tensor", "standard", "stresses", "temperature", "total_pressure",
+        "pressure_by_origin", "pressure_tensor", "standard", "static_pressure", "stresses", "temperature", "total_pressure",
     ],
     "dpdjax.measure.statistics": ["Estimate", "block_average"],
     "dpdjax.measure.structure": ["radial_distribution"],

@@ -83,7 +83,8 @@ def _suspended(parser):
     parser.add_argument("--times", type=float, default=1.0, help="how long, in diffusion times tau (default: 1)")
     parser.add_argument("--out", metavar="FILE.gsd", default=None, help="write frames into a GSD file")
     parser.add_argument("--frames", type=int, default=100, help="frames to record (default: 100)")
-    parser.add_argument("--settle", type=float, default=10.0, help="time the solvent settles before, in DPD units (default: 10)")
+    settle = "time the solvent settles before, without attraction, in DPD units (default: 10)"
+    parser.add_argument("--settle", type=float, default=10.0, help=settle)
     parser.add_argument("--D0", type=float, default=0.0, help="depth of the Morse attraction [energy] (default: 0)")
     parser.add_argument("--kappa", type=float, default=30.0, help="its inverse range (default: 30)")
     parser.add_argument("--radius", type=float, default=1.0, help="of a colloid (default: 1)")
@@ -226,9 +227,10 @@ def _run_suspension(arguments) -> dict:
     state = made.state
     if arguments.settle > 0:
         every = max(1, round(arguments.settle / made.dt / 10))
-        settled = dpd.run(made.fluid, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json)
+        hard = made.fluid.set(D0=0.0)
+        settled = dpd.run(hard, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json)
         _go_on_with(settled.complete)
-        state = settled.final
+        state = settled.final.restarted()
     plan = dpd.Plan(arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames)))
     ran = _run_to(arguments.out, made, state, key, plan, flow, not arguments.json)
     _go_on_with(ran.frames)

@@ -184,8 +184,19 @@ def test_a_run_warns_and_goes_on(made, key, monkeypatch):
     assert began and len(seen) == 1 and seen[0].filename == __file__
 
 
-def test_the_smallest_colloid_limits_the_step():
+def test_the_smallest_colloid_beside_the_largest_limits_the_step():
+    """Rates of lubrication by hand: ``6 zeta / m`` of the small one, zeta as the square of the mean radius."""
+    fluid = dpd.colloid_fluid(gamma=0.0)
+    limit = lambda *sizes: dict((name.split(":")[0], dt) for name, dt in advice.dt_limits(fluid, [2.4, 0.05], sizes))
+    for small, large in ((1.0, 1.0), (0.3, 1.0), (0.5, 2.0)):
+        rate = lambda other: 6 * 1.5 * math.pi * 0.3 / 1e-3 * ((small + other) / 2) ** 2 / (4 * math.pi * small**3)
+        assert limit(small, large)["lubrication"] == pytest.approx(1 / max(rate(small), rate(large)), rel=1e-5)
+    assert limit(0.5, 1.0)["contact force"] == pytest.approx(0.5**1.5 * limit(1.0, 1.0)["contact force"])
+    assert dpd.suggest_dt(fluid, [2.4, 0.05], (0.3, 1.0)) < dpd.suggest_dt(fluid, [2.4, 0.05])
+
+
+@pytest.mark.parametrize("name", ["delta", "Delta"])
+def test_a_scan_is_judged_by_the_member_that_needs_the_shortest_step(name):
     fluid = dpd.colloid_fluid()
-    mean, small = (advice.dt_limits(fluid, [2.4, 0.05], size) for size in (1.0, 0.5))
-    assert [b[1] / a[1] for a, b in zip(mean, small)] == pytest.approx([1.0, 1.0, 0.5, 0.5**1.5])
-    assert dpd.suggest_dt(fluid, [2.4, 0.05], 0.5) < dpd.suggest_dt(fluid, [2.4, 0.05])
+    least = lambda value: min(dt for _, dt in advice.dt_limits(fluid.set(**{name: value}), [2.4, 0.05]))
+    assert least(jnp.array([1e-4, 1e-3])) == pytest.approx(least(1e-4))

@@ -251,7 +251,8 @@ def test_interrupt_of_a_suspension_ends_it(settle, capsys, monkeypatch):
         runs.append(how)
         return SimpleNamespace(complete=False, frames={}, final=None)
 
-    monkeypatch.setattr(dpd, "suspension", lambda *_, **how: SimpleNamespace(fluid=None, state=None, dt=0.1, tau=10.0))
+    fluid = SimpleNamespace(set=lambda **_: None)
+    monkeypatch.setattr(dpd, "suspension", lambda *_, **how: SimpleNamespace(fluid=fluid, state=None, dt=0.1, tau=10.0))
     monkeypatch.setattr(dpd, "run", run)
     status, out, err = said(capsys, "suspension", "--phi", 0.2, "--settle", settle)
     assert (status, out, err.splitlines()[-1]) == (130, "", "dpdjax suspension: interrupted")

@@ -1,6 +1,7 @@
 """Fluids of several groups: what acts between whom, how far, under which name, and what is refused."""
 
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine.forces import pair_force
+from dpdjax.engine.observables import drag_pressure
 from dpdjax.engine.start import placed
 
 
@@ -193,8 +195,9 @@ def test_colloids_have_the_numbers_of_the_page(colloids):
     assert solvent.conservative[0].coefficients == {"a": 2.5, "r_c": 1.0}
     assert mixed.conservative[0].coefficients == {"strength": 2.5, "r_c": 1.0}
     assert pairs.conservative[0].coefficients == {"f": 1000.0, "Delta": 1e-3, "r_c": 1.0}
-    assert pairs.conservative[1].coefficients == {"D0": 1.2, "kappa": 30.0, "r0": 0.0} and pairs.conservative[1].cut == 1.0
-    assert pairs.drag[1].coefficients == {"eta_0": 0.3, "delta": 1e-3} and pairs.drag[1].cut == 1.0
+    assert pairs.conservative[1].coefficients == {"D0": 1.2, "kappa": 30.0, "r0": 0.0, "r_c": 1.0}
+    assert pairs.conservative[1].between()[1] == 1.0
+    assert pairs.drag[1].coefficients == {"eta_0": 0.3, "delta": 1e-3, "r_c": 1.0} and pairs.drag[1].between()[1] == 1.0
     assert all(i.random is None for i in colloids.interactions), "noise follows from drag"
     np.testing.assert_allclose(colloids.mass, [1.0, 4 * math.pi])
     assert colloids.radius == (None, 1.0)
@@ -278,3 +281,49 @@ def test_colloids_of_traced_numbers(colloids):
     slope = jax.jit(jax.jacfwd(lambda D0: force(0.1, D0, 0.3)))(1.2)
     e = math.exp(-30 * 0.02)
     np.testing.assert_allclose(slope[2:, 0], [2 * 30 * (e - e * e), -2 * 30 * (e - e * e)], rtol=1e-9)
+
+
+@pytest.mark.parametrize("origin", ["kinetic", "conservative", "drag", "random", "tensor"])
+def test_names_of_stresses_that_are_taken(origin):
+    with pytest.raises(ValueError, match=f"origin '{origin}' of central_drag is taken"):
+        dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0, origin=origin)
+
+
+def test_one_name_for_a_potential_and_a_friction():
+    soft = dpd.term(dpd.soft_repulsion, a=1.0, r_c=1.0, origin="mine")
+    with pytest.raises(ValueError, match="the origin mine is that of a potential and of a friction"):
+        dpd.fluid([soft], [dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0, origin="mine")], kT=1.0)
+
+
+@pytest.mark.parametrize("name, value", [("eta_0", -1.0), ("delta", 0.0), ("Delta", 0.0), ("kappa", -3.0)])
+def test_numbers_no_colloid_can_have(name, value, colloids):
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        colloids.set(**{name: value})
+
+
+def test_all_reaches_follow_r_c(colloids):
+    assert colloids.set(r_c=2.0).reaches() == pytest.approx((2.0, (2.0**3 + 1) ** (1 / 3), 4.0))
+
+
+def test_solvent_of_a_suspension(colloids):
+    solvent = dpd.pure_solvent(colloids)
+    assert solvent.species == 1 and solvent.reaches() == (1.0,) and not solvent.has_radii
+    with pytest.raises(ValueError, match=r"give dpd.pure_solvent\(fluid\)"):
+        dpd.measure_viscosity(colloids, key=jax.random.key(0))
+    pair = dpd.interaction((0, 1), dpd.term(dpd.soft_repulsion, a=1.0, r_c=1.0))
+    with pytest.raises(ValueError, match="it is no solvent"):
+        dpd.pure_solvent(dpd.fluid(interactions=[pair], kT=1.0))
+
+
+def test_the_static_pressure_has_every_potential_and_the_drag_every_friction(colloids):
+    assert colloids.origins_of("conservative") == ("conservative", "contact", "colloid")
+    assert colloids.origins_of("drag") == ("drag", "lubrication")
+    one = lambda k: jnp.full((3, 3), 10.0**k)
+    origins = ("conservative", "drag", "random", "contact", "colloid", "lubrication")
+    state = SimpleNamespace(
+        tally=SimpleNamespace(virial={origin: one(k) for k, origin in enumerate(origins)}), box=SimpleNamespace(volume=1.0),
+        velocity=jnp.zeros((2, 3)), species=jnp.array([0, 1]), size=jnp.ones(2),
+    )  # fmt: skip
+    np.testing.assert_allclose(dpd.static_pressure(colloids, state), 1 + 1e3 + 1e4)
+    np.testing.assert_allclose(drag_pressure(colloids, state), 10 + 1e5)
+    np.testing.assert_allclose(dpd.pressure_tensor(colloids, state), 11011 + 1e5)

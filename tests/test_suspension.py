@@ -35,7 +35,7 @@ def settled(suspended, simulate, key):
 
 def test_counts_masses_and_cut_offs(suspended):
     made, sizes = suspended, np.asarray(suspended.state.size)[suspended.solvents :]
-    assert made.solvents == math.floor(2.0 * 0.8 * 8.0**3)
+    assert made.solvents == math.floor(2.0 * (1 - made.phi) * 8.0**3)
     assert made.colloids == round(0.2 * 8.0**3 / (4 / 3 * math.pi * (1 + 3 * 0.1**2)))
     np.testing.assert_allclose(made.phi, 4 / 3 * math.pi * np.sum(sizes**3) / 8.0**3)
     heavy = np.asarray(masses(made.fluid, made.state))[made.solvents :]

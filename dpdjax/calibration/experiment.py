@@ -64,7 +64,11 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
     and a long step, for five thermal times.
+
+    Raises ValueError for a fluid of several groups, whose boxes would be filled with as many of each.
     """
+    if fluid.has_radii or len(fluid.interactions) > 1:
+        raise ValueError("this measures one kind of bead, and the fluid has colloids or groups: give dpd.pure_solvent(fluid)")
     build_key, noise_key = jax.random.split(key)
     step = suggest_dt(fluid, density) if dt is None else dt
     skin = suggest_skin(fluid, step)

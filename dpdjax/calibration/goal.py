@@ -11,7 +11,7 @@ import numpy as np
 
 from dpdjax.engine import flow as flows
 from dpdjax.engine.advice import damping_rate
-from dpdjax.engine.observables import pressure_by_origin, pressure_tensor, temperature
+from dpdjax.engine.observables import pressure_tensor, static_pressure, temperature
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,13 +55,12 @@ def viscosity_goal_at(fluid, density: float, target: float, tolerance: float) ->
 
 
 def pressure_goal(target: float) -> Goal:
-    """Pressure ``trace/3`` of kinetic + conservative in equilibrium."""
+    """Pressure ``trace/3`` of the kinetic part and all potentials in equilibrium."""
     return Goal("pressure", float(target), _pressure, flows.quiet())
 
 
 def _pressure(fluid, state):
-    parts = pressure_by_origin(fluid, state)
-    return {"value": jnp.trace(parts["kinetic"] + parts["conservative"]) / 3.0}
+    return {"value": jnp.trace(static_pressure(fluid, state)) / 3.0}
 
 
 def custom_goal(target: float, observe: Callable, flow=None, name: str = "value") -> Goal:

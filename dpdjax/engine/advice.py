@@ -28,7 +28,7 @@ PRODUCTION_SIDE = 30.0
 """Shortest side at which a suspension counts as large, in ``r_c``."""
 
 
-def suggest_dt(fluid: Fluid, density, smallest: float = 1.0) -> float:
+def suggest_dt(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
     """The time step that keeps the temperature error of velocity-Verlet below 0.5 %.
 
     The error is about 0.7 omega dt in an unstructured fluid, with omega the
@@ -36,42 +36,47 @@ def suggest_dt(fluid: Fluid, density, smallest: float = 1.0) -> float:
     tests/physics/RESULTS.md). Never above a hundredth of the thermal time
     ``r_c sqrt(m / kT)``, nor above 0.7 of what :func:`dt_limits` allows colloids.
 
-    ``density``: beads per volume of all, or one number for each species; ``smallest``: relative size of the
-    smallest colloid.
+    ``density``: beads per volume of all, or one number for each species; ``sizes``: relative sizes of the
+    smallest and the largest colloid.
     """
     numbers = extreme(fluid)
     kT = max(float(numbers.kT), 1e-12)
     error = 0.7 / (1.0 + min(repulsion_energy(numbers, density) / kT, 16.0) / 20.0)
     rate = max(damping_rate(numbers, density), 1e-12)
     thermal = math.sqrt(float(np.min(numbers.mass)) / kT) * shortest_reach(numbers)
-    between_colloids = dt_limits(numbers, density, smallest)[2:]
+    between_colloids = dt_limits(fluid, density, sizes)[2:]
     return min(0.005 / (error * rate), 0.01 * thermal, *(0.7 * limit for _, limit in between_colloids))
 
 
-def dt_limits(fluid: Fluid, density, smallest: float = 1.0) -> list[tuple[str, float]]:
+def dt_limits(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> list[tuple[str, float]]:
     """What limits the time step, and the largest dt it allows [time].
 
     Damping is stable below 2 over its largest rate, accurate below 1 over it; the beads of a solvent, whose
     damping is known on average only, are kept below half of that. Oscillations are stable below 2 over
-    their frequency. Lubrication goes as the square of a radius and the mass as the cube: ``smallest`` colloids limit first.
+    their frequency. ``sizes``: relative sizes of the smallest and the largest colloid; the smallest is the first to suffer.
     """
-    numbers = extreme(fluid)
+    close = f"the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours"
+    names = (
+        "drag: dt times the damping rate of a bead is to stay below 0.5",
+        "conservative force: dt times the frequency of a pair is to stay below 0.5",
+        f"lubrication: dt times {close} is to stay below 1",
+        "contact force: dt times the frequency of two touching colloids is to stay below 1",
+    )
+    return list(zip(names, (min(limits) for limits in zip(*(_limits(case, density, sizes) for case in _cases(fluid))))))
+
+
+def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
+    """The largest dt that drag, conservative forces, lubrication and contacts allow."""
     colloidal = [i for i in numbers.interactions if _is_between_colloids(numbers, i)]
     others = [i for i in numbers.interactions if not _is_between_colloids(numbers, i)]
+    meetings = {(sizes[0], sizes[0]), sizes}
     longest = lambda most, rates: most / max([*rates, 1e-12])
-    frequency = lambda interactions: [_pair_frequency(numbers, i) for i in interactions]
-    return [
-        ("drag: dt times the damping rate of a bead is to stay below 0.5", longest(0.5, [damping_rate(numbers, density)])),
-        ("conservative force: dt times the frequency of a pair is to stay below 0.5", longest(0.5, frequency(others))),
-        (
-            f"lubrication: dt times the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours is to stay below 1",
-            smallest * longest(1.0, [_network_rate(numbers, i) for i in colloidal]),
-        ),
-        (
-            "contact force: dt times the frequency of two touching colloids is to stay below 1",
-            smallest**1.5 * longest(1.0, frequency(colloidal)),
-        ),
-    ]
+    return (
+        longest(0.5, [damping_rate(numbers, density)]),
+        longest(0.5, [_pair_frequency(numbers, i) for i in others]),
+        longest(1.0, [_network_rate(numbers, i, pair) for i in colloidal for pair in meetings]),
+        longest(1.0, [_pair_frequency(numbers, i, pair) for i in colloidal for pair in meetings]),
+    )
 
 
 def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
@@ -85,8 +90,9 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
         found.append(
             f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
         )
-    for t in (t for i in fluid.interactions for t in i.conservative if t.law is morse and t.cut is not None):
-        cut, far = float(np.min(t.cut)), float(np.max(t.coefficients["r0"]) + 6.0 / np.min(t.coefficients["kappa"]))
+    for t in (t for i in fluid.interactions for t in i.conservative if t.law is morse):
+        far = float(np.max(t.coefficients["r0"]) + 6.0 / np.min(t.coefficients["kappa"]))
+        cut = float(np.min(t.between()[1]))
         if cut < far * (1 - 1e-6):
             found.append(f"the Morse attraction is cut off at h = {cut:.3g}: give it a reach of {far:.3g}, r0 + 6/kappa")
     interval = float(np.max(np.asarray(dt))) * plan.every
@@ -166,8 +172,8 @@ def suggest_skins(fluid: Fluid, dt, counts, volume: float) -> list[float]:
     return [suggest_skin(fluid, dt, k, sorting(i, reach)) for k, (i, reach) in each]
 
 
-def extreme(fluid: Fluid) -> Fluid:
-    """The fluid with every scan and every table replaced by its largest number, masses by the smallest.
+def extreme(fluid: Fluid, least: str | None = None) -> Fluid:
+    """The fluid with every scan and every table replaced by its largest number; masses and ``least`` by the smallest.
 
     Raises ValueError for numbers that are being traced.
     """
@@ -175,9 +181,23 @@ def extreme(fluid: Fluid) -> Fluid:
         raise ValueError(
             "this needs plain numbers: build the state with one fluid outside vmap or grad, then scan or differentiate the run"
         )
+    largest = lambda leaf: np.max(np.asarray(leaf, float))
+
+    def of_term(t):
+        coefficients = {k: np.min(np.asarray(c, float)) if k == least else largest(c) for k, c in t.coefficients.items()}
+        return dataclasses.replace(t, coefficients=coefficients, cut=None if t.cut is None else largest(t.cut))
+
     mass = np.asarray(fluid.mass, float)
-    largest = jax.tree.map(lambda leaf: np.max(np.asarray(leaf, float)), fluid)
-    return dataclasses.replace(largest, mass=mass.reshape(-1, mass.shape[-1]).min(0))
+    radius = tuple(None if r is None else largest(r) for r in fluid.radius)
+    interactions = tuple(i.map_terms(of_term) for i in fluid.interactions)
+    return Fluid(interactions, largest(fluid.kT), mass.reshape(-1, mass.shape[-1]).min(0), radius)
+
+
+def _cases(fluid):
+    """Fluids one of which is the worst of a scan: all numbers at their largest, and one of them at its smallest."""
+    yield extreme(fluid)
+    scanned = {name for i in fluid.interactions for t in i.terms for name, c in t.coefficients.items() if np.size(c) > 1}
+    yield from (extreme(fluid, name) for name in sorted(scanned))
 
 
 def _densities(fluid, density):
@@ -199,38 +219,41 @@ def _is_between_colloids(fluid, interaction: Interaction) -> bool:
     return all(_largest_radius(fluid, group) > 0 for group in interaction.groups)
 
 
-def _given(fluid, interaction) -> dict:
-    R_i, R_j = (_largest_radius(fluid, group) for group in interaction.groups)
+def _given(fluid, interaction, sizes=(1.0, 1.0)) -> dict:
+    R_i, R_j = (_largest_radius(fluid, group) * size for group, size in zip(interaction.groups, sizes))
     return {"R_i": R_i, "R_j": R_j, "kT": float(np.max(fluid.kT))}
 
 
-def _reduced_mass(fluid, interaction) -> float:
-    a, b = (_lightest(fluid, group) for group in interaction.groups)
-    return a * b / (a + b)
+def _masses(fluid, interaction, sizes=(1.0, 1.0)) -> tuple[float, float]:
+    return tuple(_lightest(fluid, group) * size**3 for group, size in zip(interaction.groups, sizes))
 
 
-def _network_rate(fluid, interaction) -> float:
-    """Damping rate of a colloid among close neighbours: half of each pair's largest rate [1/time]."""
-    zeta = sum(_largest_friction(fluid, interaction, t) for t in interaction.drag)
-    return 0.5 * CLOSE_NEIGHBOURS * zeta / _reduced_mass(fluid, interaction)
+def _network_rate(fluid, interaction, sizes) -> float:
+    """Damping rate of the first colloid among close neighbours like the second [1/time].
+
+    Neighbours as heavy as it give way, which is in it: each pair's rate counts half.
+    """
+    zeta = sum(_largest_friction(fluid, interaction, t, sizes) for t in interaction.drag)
+    return CLOSE_NEIGHBOURS * zeta / _masses(fluid, interaction, sizes)[0]
 
 
-def _largest_friction(fluid, interaction, term) -> float:
+def _largest_friction(fluid, interaction, term, sizes) -> float:
     """Largest value of a drag from contact on; from where it is sampled for one without a limit at contact."""
-    law, reach = term.between(np.max, **_given(fluid, interaction))
+    law, reach = term.between(np.max, **_given(fluid, interaction, sizes))
     with jax.ensure_compile_time_eval():
         touching = np.asarray(law(jnp.asarray([0.0, TOUCHING * float(reach)])), float)
-    sampled = float(np.max(_sampled(fluid, interaction, term)[1]))
+    sampled = float(np.max(_sampled(fluid, interaction, term, sizes=sizes)[1]))
     return max(sampled, float(touching.max())) if np.all(np.isfinite(touching)) else sampled
 
 
-def _pair_frequency(fluid, interaction) -> float:
+def _pair_frequency(fluid, interaction, sizes=(1.0, 1.0)) -> float:
     stiffest = 0.0
     for t in interaction.conservative:
-        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True)
+        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes)
         reached = energy - energy.min() <= 4.0 * float(fluid.kT)
         stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
-    return math.sqrt(stiffest / _reduced_mass(fluid, interaction))
+    a, b = _masses(fluid, interaction, sizes)
+    return math.sqrt(stiffest * (1.0 / a + 1.0 / b))
 
 
 def _volume_integral(fluid, interaction, term) -> float:
@@ -239,9 +262,9 @@ def _volume_integral(fluid, interaction, term) -> float:
     return float(np.sum(4 * np.pi * r**2 * values) * width)
 
 
-def _sampled(fluid, interaction, term, curved: bool = False):
+def _sampled(fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0)):
     """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and the step."""
-    given = _given(fluid, interaction)
+    given = _given(fluid, interaction, sizes)
     law, reach = term.between(np.max, **given)
     width = float(reach) / SAMPLES
     gap = (np.arange(SAMPLES) + 0.5) * width

@@ -25,6 +25,18 @@ def pressure_by_origin(fluid, state) -> dict:
     return {"kinetic": kinetic_pressure(fluid, state)} | pairs
 
 
+def static_pressure(fluid, state):
+    """Kinetic part and that of all potentials (3, 3) [energy / volume]: in equilibrium the pressure."""
+    parts = pressure_by_origin(fluid, state)
+    return sum(parts[origin] for origin in ("kinetic", *fluid.origins_of("conservative")))
+
+
+def drag_pressure(fluid, state):
+    """Part of all frictions (3, 3) [energy / volume], odd under time reversal."""
+    parts = pressure_by_origin(fluid, state)
+    return sum(parts[origin] for origin in fluid.origins_of("drag"))
+
+
 def pressure_tensor(fluid, state):
     """All but the random part, which has mean zero and is only noise."""
     return sum(p for origin, p in pressure_by_origin(fluid, state).items() if origin != "random")

@@ -261,10 +261,10 @@ def check_dt(fluid, state, dt):
     largest = float(np.max(np.asarray(dt)))
     counts = np.bincount(np.asarray(state.species), minlength=fluid.species)
     density = counts / float(np.prod(np.asarray(state.box.lengths)))
-    smallest = float(np.min(np.asarray(state.size)))
-    for what, limit in advice.dt_limits(fluid, density, smallest):
+    sizes = float(np.min(np.asarray(state.size))), float(np.max(np.asarray(state.size)))
+    for what, limit in advice.dt_limits(fluid, density, sizes):
         if largest > limit:
             raise ValueError(
                 f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
-                f"use dt = {advice.suggest_dt(fluid, density, smallest):.2g} (temperature error 0.5 %)"
+                f"use dt = {advice.suggest_dt(fluid, density, sizes):.2g} (temperature error 0.5 %)"
             )

@@ -53,8 +53,9 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     | v += dt (f + f') / 2m               | ``velocity``                           |
 
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar
-    velocity loses ``rate dy`` along x: the exact rewriting of the lab-frame step, with no
-    jump when a bead crosses the boundary. ``tally`` (static): keep the sums over pairs.
+    velocity loses ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no
+    jump when a bead crosses the boundary. Where the rate changes, the whole box follows at once (SLLOD).
+    ``tally`` (static): keep the sums over pairs.
     """
     mass = masses(fluid, state)[:, None]
     kick = dt * state.force / mass

@@ -19,6 +19,8 @@ SIZE_DOMAIN = 6
 """Folded into the user's key for the sizes of polydisperse colloids."""
 CUT_SIZES = 3.0
 """Gaussian sizes are drawn again beyond this many standard deviations."""
+CUT_DEVIATION = 0.98658
+"""Standard deviation of a unit Gaussian cut off there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,11 +124,13 @@ def suspension(
     positive(fluid.kT, "kT", "without it there is no diffusion time to tell results in")
     space, volume = boxes.box(lengths), float(np.prod(lengths))
     centres = packing.pack(key, space, radii)
-    solvents = math.floor(density * (1.0 - phi) * volume * (1 + 1e-9))
+    # Of drawn radii the fraction is not quite the wanted one, of equal ones it is but for whole colloids.
+    placed_phi = float(sphere_volume(radii).sum()) / volume if np.ptp(radii) else phi
+    solvents = math.floor(density * (1.0 - placed_phi) * volume * (1 + 1e-9))
     beads = packing.fill(key, space, centres, radii, solvents)
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
-    dt = suggest_dt(fluid, np.asarray(counts) / volume, size.min()) if dt is None else float(dt)
+    dt = suggest_dt(fluid, np.asarray(counts) / volume, (size.min(), size.max())) if dt is None else float(dt)
     position = np.concatenate([np.asarray(beads), np.asarray(centres)])
     state = placed(fluid, key, space, position, counts, size=size, skin=skin, dt=dt, sheared=sheared)
     made = Suspension(fluid, state, sphere_volume(radii).sum() / volume, float(diffusion_time(fluid)), dt)
@@ -159,4 +163,4 @@ def _radii_and_sides(key, phi, box, colloids, radius, spread):
 def _sizes(key, count: int, spread: float) -> np.ndarray:
     """Relative sizes (count,) of mean about 1."""
     draw = jax.random.truncated_normal(jax.random.fold_in(key, SIZE_DOMAIN), -CUT_SIZES, CUT_SIZES, (count,))
-    return 1.0 + spread * np.asarray(draw, float)
+    return 1.0 + spread / CUT_DEVIATION * np.asarray(draw, float)

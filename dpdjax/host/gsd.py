@@ -82,10 +82,13 @@ def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int
     even = [size for size in range(2, 2 * piece) if plan.frames % size == 0]
     piece = min(even, key=lambda size: abs(size - piece), default=piece)
     pieces, done = [], 0
-    with gsd_writer(path, fluid, state) as write, tqdm(total=plan.frames, unit="frame", disable=not progress) as bar:
+    with contextlib.ExitStack() as stack:
+        bar, write = stack.enter_context(tqdm(total=plan.frames, unit="frame", disable=not progress)), None
         while done < plan.frames:
             part = Plan(next_chunk(piece, plan.frames - done), plan.every)
             ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False)
+            # Opened when there is something to write: a run that is refused leaves an old file as it was.
+            write = stack.enter_context(gsd_writer(path, fluid, state)) if write is None else write
             if ran.frames:
                 write(ran.frames, flow)
             pieces.append({name: v for name, v in ran.frames.items() if name not in RECORDED})

@@ -19,9 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine.observables import (
+    drag_pressure,
     instantaneous_viscosity,
     momentum,
     standard,
+    static_pressure,
     stresses,
     temperature,
     total_pressure,
@@ -78,11 +80,10 @@ def shear_record(fluid, state) -> dict:
 
 def green_kubo_record(fluid, state) -> dict:
     """What :func:`green_kubo` needs of each frame."""
-    parts = stresses(fluid, state)
-    smooth = parts["pressure_kinetic"] + parts["pressure_conservative"]
+    smooth, drag = static_pressure(fluid, state), drag_pressure(fluid, state)
     return {
-        "flux": smooth + parts["pressure_drag"],
-        "reversed_flux": smooth - parts["pressure_drag"],
+        "flux": smooth + drag,
+        "reversed_flux": smooth - drag,
         "instantaneous_viscosity": instantaneous_viscosity(fluid, state),
         "temperature": temperature(fluid, state),
     }

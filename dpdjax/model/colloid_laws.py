@@ -9,6 +9,11 @@ import jax.numpy as jnp
 from dpdjax.model.term import reaches
 
 
+def solvent_cut(*, r_c):
+    """The reach of solvent beads, taken for a gap [length]."""
+    return r_c
+
+
 def balanced_cut(*, r_c, R_i, R_j):
     """Gap up to which a colloid and a solvent bead interact, ``(r_c^3 + R^3)^(1/3) - R`` [length].
 

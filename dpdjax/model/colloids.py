@@ -73,14 +73,15 @@ def colloid_fluid(
         raise ValueError(f'noise is {noise!r}; it is "exact" or "literal"')
     if noise == "literal" and lubrication is not colloid_laws.squeezing_lubrication:
         raise ValueError("literal noise belongs to dpd.squeezing_lubrication; leave lubrication= out")
+    up_to_r_c = {"reach": colloid_laws.solvent_cut, "r_c": r_c}
     if attraction is None:
-        attraction = term(colloid_laws.morse, D0=D0, kappa=kappa, r0=r0, reach=r_c)
+        attraction = term(colloid_laws.morse, D0=D0, kappa=kappa, r0=r0, **up_to_r_c)
     attraction = [attraction] if isinstance(attraction, Term) else list(attraction)
     strength, rub = repulsion * kT, {"gamma": gamma, "r_c": r_c}
     squeeze = {"eta_0": eta_0, "delta": delta}
     soft = term(laws.soft_repulsion, a=strength / r_c, r_c=r_c)
     hard = term(contact, f=modulus * kT / r_c, Delta=Delta, r_c=r_c, origin="contact")
-    drag = [term(laws.central_drag, **rub), term(lubrication, **squeeze, reach=r_c, origin="lubrication")]
+    drag = [term(laws.central_drag, **rub), term(lubrication, **squeeze, **up_to_r_c, origin="lubrication")]
     random = None
     if noise == "literal":
         drag = [term(colloid_laws.literal_drag, **rub, **squeeze, origin="lubrication")]
@@ -93,6 +94,17 @@ def colloid_fluid(
     ]
     mass = jnp.stack([jnp.ones_like(density), density * sphere_volume(radius)])
     return fluid(interactions=among, kT=kT, mass=mass, radius=(None, radius))
+
+
+def pure_solvent(fluid: Fluid) -> Fluid:
+    """The solvent of a suspension alone: what its viscosity is to be measured of.
+
+    Raises ValueError for a fluid whose first species does not interact with itself.
+    """
+    for among in fluid.interactions:
+        if among.groups == ((SOLVENT,), (SOLVENT,)):
+            return Fluid((among,), fluid.kT, fluid.mass[..., :1], fluid.radius[:1])
+    raise ValueError("no interaction of the first species with itself; it is no solvent")
 
 
 def sphere_volume(radius):

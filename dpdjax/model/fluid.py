@@ -92,6 +92,11 @@ class Fluid:
         labels = [t.origin for i in self.interactions for t in i.conservative + i.drag if t.origin is not None]
         return tuple(dict.fromkeys((*ORIGINS, *labels)))
 
+    def origins_of(self, kind: str) -> tuple[str, ...]:
+        """Names under which the stresses of potentials (``"conservative"``) or of frictions (``"drag"``) are kept."""
+        labels = [t.origin for i in self.interactions for t in getattr(i, kind) if t.origin is not None]
+        return tuple(dict.fromkeys((kind, *labels)))
+
     @property
     def coefficients(self) -> dict[str, Any]:
         """Every coefficient by name; the first term that has it decides."""
@@ -236,6 +241,9 @@ def _groups(between) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 
 def _check_groups(interactions):
+    labels = [{t.origin for i in interactions for t in getattr(i, kind)} - {None} for kind in ORIGINS[:2]]
+    if labels[0] & labels[1]:
+        raise ValueError(f"the origin {', '.join(labels[0] & labels[1])} is that of a potential and of a friction: give two names")
     seen = set()
     for i in interactions:
         if i.groups in seen:
@@ -244,10 +252,10 @@ def _check_groups(interactions):
 
 
 def _check_coefficients(coefficients):
-    if "gamma" in coefficients:
-        not_negative(coefficients["gamma"], "gamma")
-    if "r_c" in coefficients:
-        positive(coefficients["r_c"], "r_c")
+    for name in {"gamma", "eta_0"} & set(coefficients):
+        not_negative(coefficients[name], name)
+    for name in {"r_c", "delta", "Delta", "kappa"} & set(coefficients):
+        positive(coefficients[name], name)
 
 
 def _masses(mass, species):

@@ -13,6 +13,8 @@ from dpdjax.checks import is_concrete, number, positive
 
 GIVEN = ("R_i", "R_j", "kT")
 """What a law may ask for by name without being given it: the radii of the two beads, the thermal energy."""
+RESERVED = ("kinetic", "conservative", "drag", "random", "tensor")
+"""Names of stresses that no term may take for its own."""
 
 
 def reaches(function: Callable):
@@ -68,9 +70,11 @@ def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients
 
     Raises:
         TypeError: a coefficient the law does not know, or one it lacks.
-        ValueError: a table that is not square and symmetric; no reach.
+        ValueError: a table that is not square and symmetric; no reach; an origin that is taken.
     """
     name = getattr(law, "__name__", repr(law))
+    if origin in RESERVED:
+        raise ValueError(f"origin {origin!r} of {name} is taken: give the stress another name, or none")
     declared = getattr(law, "reach", None) if reach is None else reach if callable(reach) else None
     wanted = dict(_keywords(declared) if declared else {}) | _keywords(law)
     wanted = {k: needed for k, needed in wanted.items() if k not in GIVEN}

@@ -132,17 +132,18 @@ def diffusion():
     run = go(fluid, state, keys, dt, 240.0, 250, observe=[dpd.positions_of(1), dpd.mean(by_species)])
     D = dpd.diffusion(run, species=1, fit=(10.0, 30.0))
     rho, eta = _solvent(run.final, fluid, keys)
-    # Periodic images slow a sphere down (Duenweg & Kremer 1993; Yeh & Hummer 2004), by the suspension's own viscosity.
-    correction = 2.837297 * KT / (6 * math.pi * eta.value * side)
+    # Periodic images slow a sphere down (Duenweg & Kremer 1993), by the suspension's own viscosity, (1 + 2.5 phi) eta.
+    correction = 2.837297 * KT / (6 * math.pi * 1.125 * eta.value * side)
     infinite = Estimate(D.value + correction, D.error, D.blocks)
     stick, slip = KT / (6 * math.pi * eta.value), KT / (4 * math.pi * eta.value)
+    others = "neighbours at phi 0.05 slow a sphere with stick to 1 - 2.1 phi = 0.90"
     where = f"kT 0.1, gamma 4.5, R 1, {made[0].colloids} colloids in {side:g}, {count} boxes, dt {dt:g}"
     return [
         row("D from the slope of the MSD", where, D, "", "", "fit 10 to 30 time units"),
         row("density of the solvent between them", where, rho, 3.0, "nominal"),
         row("viscosity of the solvent at that density", "gamma 4.5", eta, 0.3, "the guess of seed 000"),
         row("D without periodic images", where, infinite, "", "", f"+ {correction:.5f}"),
-        row("D over stick, kT/(6 pi eta R)", where, infinite.scaled(1 / stick), 1.0, "Stokes-Einstein, no slip"),
+        row("D over stick, kT/(6 pi eta R)", where, infinite.scaled(1 / stick), 1.0, "Stokes-Einstein, no slip", others),
         row("D over slip, kT/(4 pi eta R)", where, infinite.scaled(1 / slip), 1.0, "Stokes-Einstein, full slip"),
         row("colloid temperature over kT", where, block_average(run.frames["colloid"] / KT), 1.0, "exact, up to O(dt)"),
     ]
@@ -162,7 +163,7 @@ def _solvent(state, fluid, keys, gamma=4.5, tolerance=0.02):
 
 def solvent_viscosity(gamma, density, tolerance=0.02):
     """Viscosity of the pure solvent."""
-    pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25 * KT, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)], kT=KT)
+    pure = dpd.pure_solvent(dpd.colloid_fluid(kT=KT, gamma=gamma))
     return dpd.measure_viscosity(pure, key=KEY, density=density, tolerance=tolerance).estimate
 
 
@@ -176,15 +177,20 @@ def viscosity():
         made = dpd.suspension(KEY, phi=phi, box=side, gamma=gamma, eta_0=1.1, dt=dt, report=None)
         flow = dpd.shear(rate)
         state = go(made.fluid, made.state, KEY, dt, 15.0, 100, flow).final
-        run = go(made.fluid, state, KEY, dt, 60.0, 20, flow, observe=[dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses)])
-        eta = dpd.shear_viscosity(run, skip=0.0, blocks=24)
-        rho = float(np.mean([dpd.solvent_density(made.fluid, s) for s in (state, run.final)]))
-        solvent = solvent_viscosity(gamma, rho)
+        runs, densities = [], []
+        for _ in range(12):
+            run = go(made.fluid, state, KEY, dt, 5.0, 20, flow, observe=[dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses)])
+            runs, state = [*runs, run], run.final
+            densities.append(dpd.solvent_density(made.fluid, state, points=100_000))
+        frames = {name: np.concatenate([r.frames[name] for r in runs]) for name in run.frames}
+        eta = dpd.shear_viscosity(dataclasses.replace(run, frames=frames), skip=0.0, blocks=24)
+        rho = from_replicas(densities)
+        solvent = solvent_viscosity(gamma, rho.value)
         Re, Pe = 3.0 * rate / solvent.value, 6 * math.pi * solvent.value * rate / KT
-        where = f"phi {phi:g}, gamma 45, rate {rate:g}, dt {dt:g}, {made.colloids} colloids in {side:g}"
+        where = f"phi {phi:g}, gamma 45, eta_0 of lubrication 1.1, rate {rate:g}, dt {dt:g}, {made.colloids} colloids in {side:g}"
         left_out = ("pressure_tensor", "pressure_random")
-        origins = [name for name in run.frames if name.startswith("pressure_") and name not in left_out]
-        parts = ", ".join(f"{name[9:]} {-np.mean(run.frames[name][:, 0, 1]) / rate:.3f}" for name in origins)
+        origins = [name for name in frames if name.startswith("pressure_") and name not in left_out]
+        parts = ", ".join(f"{name[9:]} {-np.mean(frames[name][:, 0, 1]) / rate:.3f}" for name in origins)
         first_order = f"first order in phi: {1 + 2.5 * phi:.3g} no slip, {1 + phi:.3g} full slip"
         rows += [
             row("viscosity", where, eta, "", "", f"Re {Re:.2f}, Pe {Pe:.0f}; {parts}"),
