@@ -29,7 +29,7 @@ _HOMES = {
     ],
     "dpdjax.measure.statistics": ["Estimate", "block_average"],
     "dpdjax.measure.structure": ["radial_distribution"],
-    "dpdjax.measure.spheres": ["Spheres", "spheres"],
+    "dpdjax.measure.spheres": ["Spheres", "spheres", "spheres_of"],
     "dpdjax.measure.distribution": ["pair_distribution", "partial_distribution"],
     "dpdjax.measure.contacts": ["contact_number"],
     "dpdjax.measure.bonds": ["bonded_pairs", "bonds"],

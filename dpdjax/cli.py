@@ -89,21 +89,21 @@ def _suspended(parser):
     parser.add_argument("--kappa", type=float, default=30.0, help="its inverse range (default: 30)")
     parser.add_argument("--radius", type=float, default=1.0, help="of a colloid (default: 1)")
     parser.add_argument("--spread", type=float, default=0.0, help="relative standard deviation of the radii (default: 0)")
-    parser.add_argument("--kT", type=float, default=0.1, help="thermal energy (default: 0.1)")
+    _numbers(parser, kT=0.1, suits="drag, lubrication and contacts")
     parser.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
     parser.add_argument("--eta0", type=float, default=0.3, help="viscosity of the solvent, for lubrication (default: 0.3)")
     parser.add_argument("--rate", type=float, default=0.0, help="shear rate [1/time] (default: 0)")
-    parser.add_argument("--density", type=float, default=3.0, help="solvent beads per volume (default: 3)")
-    parser.add_argument("--dt", type=float, default=None, help="time step (default: suits drag, lubrication and contacts)")
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def _fluid(parser):
-    parser.add_argument("--density", type=float, default=3.0, help="beads per volume (default: 3)")
+    _numbers(parser, kT=1.0, suits="drag: temperature error below 0.5 %%")
     parser.add_argument("--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)")
-    parser.add_argument("--kT", type=float, default=1.0, help="thermal energy (default: 1)")
-    parser.add_argument("--dt", type=float, default=None, help="time step (default: temperature error below 0.5 %%)")
+
+
+def _numbers(parser, *, kT: float, suits: str):
+    parser.add_argument("--density", type=float, default=3.0, help="solvent beads per volume (default: 3)")
+    parser.add_argument("--kT", type=float, default=kT, help=f"thermal energy (default: {kT:g})")
+    parser.add_argument("--dt", type=float, default=None, help=f"time step (default: suits {suits})")
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
@@ -281,13 +281,9 @@ def _run_to(path, made, state, key, plan, flow, progress):
 
 def _contacts(made, state) -> float:
     """Contact number of one state."""
-    import numpy as np
-
     import dpdjax as dpd
 
-    colloids = np.asarray(state.position)[None, None, made.solvents :]
-    radius = np.asarray(state.size)[made.solvents :] * float(made.fluid.radius[1])
-    spheres = dpd.Spheres(colloids, radius, np.asarray(state.box.lengths), np.asarray(state.box.strain)[None, None])
+    spheres = dpd.spheres_of(made.fluid, state)
     # No force between colloids reaches farther than 1.
     return float(dpd.contact_number(spheres, gap=min(3.0 / float(made.fluid.value("kappa")), 1.0)).mean.value)
 

@@ -123,7 +123,7 @@ def test_dt_too_large_for_the_repulsion(water, fresh, key):
     with refused(ValueError, "dt 0.1 is too large for the conservative force", "which allows 0.071", "use dt = 0.0068"):
         dpd.simulate(water, fresh, key, 0.1, PLAN)
     singular = dpd.fluid([dpd.term(lambda h, *, q: q / h, q=1.0, reach=1.0)], [drag()], kT=1.0)
-    assert 1 < pair_frequency(singular) < 30, "only distances that beads reach count"
+    assert 1 < pair_frequency(singular, singular.interactions[0]) < 30, "only distances that beads reach count"
 
 
 def test_body_force_that_jumps_at_the_faces(water, fresh, key):

@@ -197,6 +197,16 @@ def test_interrupt_leaves_the_whole_pieces(third, kept, to_file, monkeypatch, tm
         assert np.array_equal(one.particles.position, other.particles.position)
 
 
+def test_a_run_interrupted_at_once_leaves_an_old_file(to_file, monkeypatch, tmp_path):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(host, "replayed", interrupted)
+    (tmp_path / "old.gsd").write_bytes(b"precious")
+    assert not to_file(tmp_path / "old.gsd").complete
+    assert (tmp_path / "old.gsd").read_bytes() == b"precious"
+
+
 def test_a_failed_run_keeps_the_pieces_before(to_file, monkeypatch, tmp_path):
     genuine, count = host.replayed, []
 

@@ -59,6 +59,17 @@ def test_start_has_no_overlap_and_the_solvent_outside(suspended):
     assert gap[suspended.solvents :].min() > 0.001
 
 
+def test_the_spheres_of_a_state(settled, suspended):
+    some, colloids = dpd.spheres_of(suspended.fluid, settled), slice(suspended.solvents, None)
+    np.testing.assert_array_equal(some.position[0, 0], settled.position[colloids])
+    np.testing.assert_array_equal(some.radius[0], np.asarray(radii(suspended.fluid, settled))[colloids])
+    assert some.strain[0, 0] == settled.box.strain != 0 and some.time == settled.time
+    with pytest.raises(ValueError, match="no bead of species 0 has a radius"):
+        dpd.spheres_of(suspended.fluid, settled, species=0)
+    with pytest.raises(ValueError, match="the state is a batch"):
+        dpd.spheres_of(suspended.fluid, jax.tree.map(lambda x: jnp.stack([x, x]), settled))
+
+
 def laws_by_hand(kind, h, Ri, Rj):
     """Conservative force and friction of a pair, written out from PHYSICS of the fluid; numpy."""
     kT, gamma, eta_0, D0, kappa = NUMBERS.values()

@@ -73,9 +73,9 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
     longest = lambda most, rates: most / max([*rates, 1e-12])
     return (
         longest(0.5, [damping_rate(numbers, density)]),
-        longest(0.5, [_pair_frequency(numbers, i) for i in others]),
+        longest(0.5, [pair_frequency(numbers, i) for i in others]),
         longest(1.0, [_network_rate(numbers, i, pair) for i in colloidal for pair in meetings]),
-        longest(1.0, [_pair_frequency(numbers, i, pair) for i in colloidal for pair in meetings]),
+        longest(1.0, [pair_frequency(numbers, i, pair) for i in colloidal for pair in meetings]),
     )
 
 
@@ -133,9 +133,15 @@ def repulsion_energy(fluid: Fluid, density) -> float:
     return max([0.0, *map(float, energies)])
 
 
-def pair_frequency(fluid: Fluid) -> float:
+def pair_frequency(fluid: Fluid, interaction: Interaction, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
     """Fastest oscillation of two beads, ``sqrt(U'' / mu)``, at distances they reach with 4 kT [1/time]."""
-    return max(_pair_frequency(fluid, i) for i in fluid.interactions)
+    stiffest = 0.0
+    for t in interaction.conservative:
+        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes)
+        reached = energy - energy.min() <= 4.0 * float(fluid.kT)
+        stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
+    a, b = _masses(fluid, interaction, sizes)
+    return math.sqrt(stiffest * (1.0 / a + 1.0 / b))
 
 
 def shortest_reach(fluid: Fluid) -> float:
@@ -244,16 +250,6 @@ def _largest_friction(fluid, interaction, term, sizes) -> float:
         touching = np.asarray(law(jnp.asarray([0.0, TOUCHING * float(reach)])), float)
     sampled = float(np.max(_sampled(fluid, interaction, term, sizes=sizes)[1]))
     return max(sampled, float(touching.max())) if np.all(np.isfinite(touching)) else sampled
-
-
-def _pair_frequency(fluid, interaction, sizes=(1.0, 1.0)) -> float:
-    stiffest = 0.0
-    for t in interaction.conservative:
-        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes)
-        reached = energy - energy.min() <= 4.0 * float(fluid.kT)
-        stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
-    a, b = _masses(fluid, interaction, sizes)
-    return math.sqrt(stiffest * (1.0 / a + 1.0 / b))
 
 
 def _volume_integral(fluid, interaction, term) -> float:

@@ -1,6 +1,7 @@
 """GSD files: frames of beads that HOOMD-blue, freud and OVITO open."""
 
 import contextlib
+import os
 
 import numpy as np
 from tqdm import tqdm
@@ -8,6 +9,7 @@ from tqdm import tqdm
 from dpdjax.checks import prng_key
 from dpdjax.engine.observables import standard
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run
+from dpdjax.engine.state import masses, radii
 from dpdjax.host.run import next_chunk, run
 
 DRAWN_RADIUS = 0.5
@@ -87,8 +89,9 @@ def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int
         while done < plan.frames:
             part = Plan(next_chunk(piece, plan.frames - done), plan.every)
             ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False)
-            # Opened when there is something to write: a run that is refused leaves an old file as it was.
-            write = stack.enter_context(gsd_writer(path, fluid, state)) if write is None else write
+            # Opened when there is something to write: a run that is refused, or ends at once, leaves an old file as it was.
+            if write is None and (ran.frames or not os.path.exists(path)):
+                write = stack.enter_context(gsd_writer(path, fluid, state))
             if ran.frames:
                 write(ran.frames, flow)
             pieces.append({name: v for name, v in ran.frames.items() if name not in RECORDED})
@@ -102,14 +105,13 @@ def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int
 
 def _beads(fluid, state) -> dict:
     """What does not change from frame to frame."""
-    species, size = np.asarray(state.species), np.asarray(state.size)
-    radius = np.array([DRAWN_RADIUS if r is None else float(r) for r in fluid.radius])
+    radius = np.asarray(radii(fluid, state))
     return {
-        "N": len(species),
+        "N": state.n,
         "types": [chr(ord("A") + k) for k in range(fluid.species)],
-        "typeid": species.astype(np.uint32),
-        "mass": (np.asarray(fluid.mass)[species] * size**3).astype(np.float32),
-        "diameter": (2 * radius[species] * size).astype(np.float32),
+        "typeid": np.asarray(state.species, np.uint32),
+        "mass": np.asarray(masses(fluid, state), np.float32),
+        "diameter": 2 * np.where(radius > 0, radius, DRAWN_RADIUS).astype(np.float32),
     }
 
 

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from dpdjax.engine.state import radii
+
 
 def _axes(ax):
     """The given axes, or new ones; raises ImportError with the cure."""
@@ -92,7 +94,7 @@ def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, flui
     position, sides = np.asarray(state.position), np.asarray(state.box.lengths)
     thickness = 1.0 if thickness is None else thickness
     flat = [k for k in range(3) if k != axis]
-    radius = np.zeros(len(position)) if fluid is None else _radii(fluid, state)
+    radius = np.zeros(len(position)) if fluid is None else np.asarray(radii(fluid, state))
     inside = (position[:, axis] < thickness) & (radius == 0)
     shallow = np.flatnonzero(inside)[np.argsort(position[inside, axis])]
     beads = _discs(ax, position[shallow][:, flat], 0.5, array=position[shallow, axis], cmap="Blues", edgecolor="0.3", alpha=0.9)
@@ -118,8 +120,3 @@ def _discs(ax, centres, radius, **style):
     style |= {"units": "xy", "offset_transform": ax.transData, "linewidth": 0.5}
     discs = EllipseCollection(diameter, diameter, np.zeros(len(centres)), offsets=centres, **style)
     return ax.add_collection(discs)
-
-
-def _radii(fluid, state):
-    of_species = np.array([0.0 if r is None else float(r) for r in fluid.radius])
-    return of_species[np.asarray(state.species)] * np.asarray(state.size)

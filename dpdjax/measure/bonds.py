@@ -7,7 +7,7 @@ import numpy as np
 from dpdjax.measure.contacts import spheres_and_gap
 from dpdjax.measure.spheres import close_pairs, frames_of
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import PIECES, average, draw, standard_error
+from dpdjax.measure.structure import average, draw, pieces_of_member, standard_error
 
 SURVIVAL_PIECES = 4
 """Independent pieces that the lags of the survival leave unless told otherwise, replicas counted."""
@@ -114,7 +114,7 @@ def _survival(time, lasting, t_max):
     batch, frames = lasting.shape[:2]
     interval = _interval(time)
     longest = _longest_lag(frames, batch, interval, t_max)
-    each = max(1, min(-(-PIECES // batch), frames // (2 * max(1, longest))))
+    each = pieces_of_member(batch, frames, longest)
     length, lags = frames // each, np.arange(longest + 1)
     origins = length * np.arange(each)[:, None, None] + np.arange(length - longest)[:, None]
     counts = lasting[:, origins, origins + lags].sum(axis=2).reshape(-1, longest + 1)

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dpdjax.engine.state import radii
 from dpdjax.measure.spheres import Frame, shift_of, with_images
 
 
@@ -24,9 +25,8 @@ def solvent_density(fluid, state, *, clearance: float = 0.8, probe: float = 0.5,
     """
     if np.ndim(state.position) != 2:
         raise ValueError("the state is a batch; give one member: jax.tree.map(lambda leaf: leaf[0], state)")
-    lengths, position, size = (np.asarray(x, float) for x in (state.box.lengths, state.position, state.size))
-    of_species = np.array([0.0 if r is None else float(r) for r in fluid.radius])
-    radius = of_species[np.asarray(state.species)] * size
+    lengths, position = (np.asarray(x, float) for x in (state.box.lengths, state.position))
+    radius = np.asarray(radii(fluid, state), float)
     shift = shift_of(float(state.box.strain), lengths)
     trial = np.random.default_rng(seed).random((points, 3)) * lengths
     for R in np.unique(radius[radius > 0]):

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dpdjax.checks import number, positive
+from dpdjax.engine.state import radii
 from dpdjax.measure.structure import as_frames, chosen_beads, of_beads, recorded
 
 IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
@@ -82,6 +83,17 @@ def spheres(trajectory, *, species: int = 1) -> Spheres:
     sizes = np.asarray(trajectory.final.size, float)
     sizes = sizes.reshape(-1, sizes.shape[-1])[:, beads]
     return of_run(trajectory, beads, np.reshape(radius, (-1, 1)) * sizes)
+
+
+def spheres_of(fluid, state, *, species: int = 1) -> Spheres:
+    """The spheres of one species of a single state; ValueError for a batch or a species that is not there or has no radius."""
+    if np.ndim(state.position) != 2:
+        raise ValueError("the state is a batch; give one member: jax.tree.map(lambda leaf: leaf[0], state)")
+    beads = np.asarray(state.species) == species
+    radius = np.asarray(radii(fluid, state))[beads]
+    if not np.any(radius):
+        raise ValueError(f"no bead of species {species} has a radius; name another: spheres_of(fluid, state, species=...)")
+    return Spheres(np.asarray(state.position)[beads], radius, state.box.lengths, state.box.strain, np.reshape(state.time, 1))
 
 
 def of_run(trajectory, beads, radius) -> Spheres:

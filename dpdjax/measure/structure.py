@@ -189,6 +189,11 @@ def pieces_of(values) -> np.ndarray:
     return blocks.mean(axis=2).reshape(-1, *values.shape[2:])
 
 
+def pieces_of_member(batch: int, frames: int, longest: int) -> int:
+    """Into how many pieces to cut each member, each twice as long as the longest lag."""
+    return max(1, min(-(-PIECES // batch), frames // (2 * max(1, longest))))
+
+
 def standard_error(pieces) -> np.ndarray:
     """Standard error of the mean over the first axis; NaN for a single piece."""
     count = len(pieces)

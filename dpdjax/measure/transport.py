@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from dpdjax.measure.statistics import Estimate, from_replicas
-from dpdjax.measure.structure import PIECES, chosen_beads, draw, of_beads, recorded, species_of, standard_error
+from dpdjax.measure.structure import PIECES, chosen_beads, draw, of_beads, pieces_of_member, recorded, species_of, standard_error
 
 BEADS_AT_ONCE = 256
 """Beads Fourier-transformed at a time."""
@@ -155,7 +155,7 @@ def _curves(trajectory, name, correlate, species, t_max):
     batch, frames = values.shape[:2]
     interval = _interval(trajectory)
     longest = _longest_lag(frames, batch, interval, t_max)
-    each = max(1, min(-(-PIECES // batch), frames // (2 * longest)))
+    each = pieces_of_member(batch, frames, longest)
     curves = [
         correlate(piece, longest)
         for member in _of_species(trajectory, values, species)

@@ -89,7 +89,7 @@ class Fluid:
     @property
     def origins(self) -> tuple[str, ...]:
         """Names under which the stresses of pairs are kept."""
-        labels = [t.origin for i in self.interactions for t in i.conservative + i.drag if t.origin is not None]
+        labels = self.origins_of("conservative") + self.origins_of("drag")
         return tuple(dict.fromkeys((*ORIGINS, *labels)))
 
     def origins_of(self, kind: str) -> tuple[str, ...]:
