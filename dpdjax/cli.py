@@ -208,6 +208,7 @@ def _suspension(arguments):
     import warnings
 
     with warnings.catch_warnings():
+        warnings.simplefilter("once")
         warnings.showwarning = lambda message, *_: print(f"dpdjax suspension: note: {message}", file=sys.stderr)
         return _run_suspension(arguments), None
 
@@ -224,13 +225,14 @@ def _run_suspension(arguments) -> dict:
     report = lambda text: print(text, file=sys.stderr, flush=True)
     made = dpd.suspension(key, eta_0=arguments.eta0, sheared=arguments.rate != 0, report=report, **numbers)
     flow = dpd.shear(arguments.rate) if arguments.rate else None
-    state = made.state
+    state, spent = made.state, 0
     if arguments.settle > 0:
         every = max(1, round(arguments.settle / made.dt / 10))
         hard = made.fluid.set(D0=0.0)
         settled = dpd.run(hard, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json)
         _go_on_with(settled.complete)
         state = settled.final.restarted()
+        spent = 10 * every
     plan = dpd.Plan(arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames)))
     ran = _run_to(arguments.out, made, state, key, plan, flow, not arguments.json)
     _go_on_with(ran.frames)
@@ -245,7 +247,7 @@ def _run_suspension(arguments) -> dict:
         "temperature": float(ran.frames["temperature"][len(ran.frames["time"]) // 2 :].mean()),
         "contact_number": _contacts(made, ran.final),
         "file": arguments.out,
-        "particle_steps": len(ran.frames["time"]) * plan.every * made.state.n,
+        "particle_steps": (spent + len(ran.frames["time"]) * plan.every) * made.state.n,
         "seconds": round(time.monotonic() - began, 1),
     }
 

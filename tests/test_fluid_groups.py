@@ -218,6 +218,32 @@ def test_other_laws_by_name():
     assert laws_of(pairs.drag) == [dpd.central_drag, dpd.unequal_lubrication]
 
 
+def test_an_attraction_is_a_term_and_the_only_one():
+    depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
+    with pytest.warns(UserWarning, match="D0 is 1.2, the depth of the Morse attraction, and not used"):
+        dpd.colloid_fluid(D0=1.2, attraction=depletion)
+    with pytest.raises(TypeError, match=r"asakura_oosawa is not a term; write dpd.term\(law"):
+        dpd.colloid_fluid(attraction=dpd.asakura_oosawa)
+    with pytest.raises(TypeError, match=r"'depth'; it takes none: coefficients come after a star, def law\(h, \*, ...\)"):
+        dpd.term(lambda h, depth: depth * h, depth=1.0, reach=1.0)
+
+
+def test_spheres_start_apart_and_points_outside():
+    among = [
+        dpd.interaction((0, 0), soft()), dpd.interaction((0, 1), dpd.term(dpd.balanced_repulsion, strength=2.5, r_c=1.0)),
+        dpd.interaction((1, 1), soft()),
+    ]  # fmt: skip
+    fluid = dpd.fluid(interactions=among, kT=0.1, mass=[1.0, 12.0], radius=(None, 1.0))
+    state = dpd.initial_state(fluid, jax.random.key(0), box=7.0, n=[300, 12], sheared=False)
+    d = boxes.displacement(state.box, state.position[:, None], state.position[None, 300:])
+    r = np.asarray(jnp.linalg.norm(d, axis=-1))
+    assert r[:300].min() >= 1.0 and np.min(r[300:] + 9.0 * np.eye(12)) > 2.0
+    with pytest.raises(ValueError, match="volume fraction"):
+        dpd.initial_state(fluid, jax.random.key(0), box=7.0, density=3.0, sheared=False)
+    with pytest.raises(ValueError, match="outside jit and vmap"):
+        jax.vmap(lambda key: dpd.initial_state(fluid, key, box=7.0, n=[300, 12]).position)(jax.random.split(jax.random.key(0), 2))
+
+
 def test_other_attractions():
     depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
     repulsion = dpd.term(dpd.yukawa, epsilon=1.0, kappa=5.0, origin="charge")

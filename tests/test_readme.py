@@ -26,8 +26,12 @@ SMALLER = {
     "box=6.0": "box=4.0",
     "box=12.0": "box=7.0",
     "Plan(10, 1000)": "Plan(4, 25)",
-    "Plan(100, 500)": "Plan(12, 2)",
-    "Plan(100, 50)": "Plan(4, 10)",
+    "Plan(100, 500)": "Plan(24, 2)",
+    "Plan(100, 50)": "Plan(20, 4)",
+    "Plan(80, 50)": "Plan(80, 2)",
+    "frequency=6.3": "frequency=160.0",
+    "fit=(1.0, 2.0)": "fit=(0.02, 0.06)",
+    "n=[4800, 60]": "n=[600, 9]",
     "Plan(10, 500)": "Plan(12, 2)",
 }
 """The same lines at a size that suits a test."""

@@ -185,6 +185,19 @@ def test_oscillation_moves_no_momentum(water_in_oscillation):
     assert np.max(np.abs(water_in_oscillation.frames["momentum"])) < 1e-9
 
 
+def test_a_run_knows_its_means(water_in_oscillation, water, fresh, key):
+    assert "pressure_tensor" in water_in_oscillation.means
+    by_hand = dpd.moduli(water_in_oscillation, averaged=True)
+    assert by_hand.loss.value == dpd.moduli(water_in_oscillation).loss.value
+    assert dpd.moduli(water_in_oscillation, averaged=False).storage.value != by_hand.storage.value
+    keys, frequency = jax.random.split(key, 2), jnp.array([SLOW, 2 * SLOW])
+    flow = dpd.oscillatory_shear(AMPLITUDE, frequency)
+    observe = [dpd.mean(dpd.momentum), dpd.standard]
+    scan = dpd.run(water.set(kT=jnp.array([1.0, 2.0])), fresh, keys, DT, dpd.Plan(2, 2), flow, observe=observe, progress=False)
+    assert [m.means for m in scan.members()] == [("momentum",), ("momentum",)]
+    assert dpd.simulate(water, fresh, key, DT, dpd.Plan(1), observe=observe).means == ("momentum",)
+
+
 def test_water_is_viscous_and_hardly_elastic(water_in_oscillation):
     found = dpd.moduli(water_in_oscillation)
     assert len(found.cycles) == 8 and found.viscosity.error < 0.06

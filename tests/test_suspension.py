@@ -66,6 +66,8 @@ def test_the_spheres_of_a_state(settled, suspended):
     assert some.strain[0, 0] == settled.box.strain != 0 and some.time == settled.time
     with pytest.raises(ValueError, match="no bead of species 0 has a radius"):
         dpd.spheres_of(suspended.fluid, settled, species=0)
+    with pytest.raises(TypeError, match=r"not a State; of one state, dpd.spheres_of\(fluid, state\)"):
+        dpd.contact_number(settled, gap=0.1)
     with pytest.raises(ValueError, match="the state is a batch"):
         dpd.spheres_of(suspended.fluid, jax.tree.map(lambda x: jnp.stack([x, x]), settled))
 

@@ -98,6 +98,17 @@ def test_brownian_diffusion(brownian, method):
     assert diffusion(brownian, method=method).deviation(KEPT / RATE) < 3.5
 
 
+def test_a_fit_of_ballistic_lags_is_warned_of(brownian):
+    with pytest.warns(UserWarning, match="not yet straight between 0.1 and 1: its slope grows by"):
+        diffusion(brownian, fit=(0.1, 1.0))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_fit_of_late_lags_is_not(brownian):
+    diffusion(brownian, fit=(2.0, 5.0))
+    diffusion(brownian)
+
+
 @pytest.mark.parametrize("method", ["msd", "vacf"])
 def test_replicas_are_pieces(method):
     rng = np.random.default_rng(7)

@@ -170,7 +170,7 @@ RECORD = {"temperature": np.ones((REPLICAS, FRAMES))}
     ids=["shear", "green_kubo", "einstein_helfand", "sine"],
 )
 def test_missing_record_is_named(measure, flow, missing):
-    with pytest.raises(ValueError, match=f"recorded no '{missing}'; see the table in dpdjax.measure.viscosity"):
+    with pytest.raises(ValueError, match=f"recorded no '{missing}'; use observe=dpd"):
         measure(trajectory(RECORD, flow))
 
 

@@ -43,6 +43,11 @@ class Recorder:
         return self.now(fluid, state)
 
 
+def averaged(how: list[Recorder], fluid, state) -> tuple[str, ...]:
+    """Names of what is recorded as a mean over its frame's interval."""
+    return tuple(name for r in how if r.how == "mean" for name in jax.eval_shape(r.now, fluid, state))
+
+
 def mean(observe: Callable) -> Recorder:
     """Record the mean of an observable over every step of a frame's interval."""
     return Recorder(observe, "mean")

@@ -11,7 +11,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import advice, order
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
-from dpdjax.engine.record import Recorder, recorders
+from dpdjax.engine.record import Recorder, averaged, recorders
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
 from dpdjax.model.fluid import Fluid
@@ -54,6 +54,7 @@ class Trajectory:
         fluid, flow, dt: what was run, for the measurements that need it.
         every: steps between two frames (static).
         complete: whether all planned frames are there (static).
+        means: names of those frames that are means over their interval (static).
     """
 
     final: State
@@ -63,6 +64,7 @@ class Trajectory:
     dt: Any
     every: int = dataclasses.field(default=1, metadata={"static": True})
     complete: bool = dataclasses.field(default=True, metadata={"static": True})
+    means: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})
 
     @property
     def interval(self):
@@ -86,7 +88,7 @@ class Trajectory:
                 if ax is not None else tree
                 for ax, tree in zip(axes, (self.fluid, self.flow, self.dt))
             )
-            return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete)
+            return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
 
         return [pick(k) for k in range(self.final.position.shape[0])]
 
@@ -101,7 +103,7 @@ def simulate(
         key: PRNG key; the noise of step s is a function of (key, s), s counted absolutely.
         dt: time step [time].
         plan: frames, and steps between two.
-        flow: ``dpd.shear(rate)``, ``dpd.body_force(...)`` or None.
+        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(amplitude, frequency)``, ``dpd.body_force(...)`` or None.
         observe: what to record: a function ``observe(fluid, state) -> dict``, or a list of
             such, each possibly wrapped in ``dpd.mean`` or ``dpd.integral``.
         lam: weight of the predicted velocity.
@@ -155,7 +157,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
         state = order.in_cell_order(state)
     final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
     final = dataclasses.replace(final, status=final.status | list_trouble(fluid, final))
-    return Trajectory(seen(final), frames, fluid, flow, dt, plan.every)
+    return Trajectory(seen(final), frames, fluid, flow, dt, plan.every, means=averaged(how, fluid, state))
 
 
 def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen):
@@ -206,7 +208,7 @@ def check_run(fluid, state, key, dt, flow):
     if not isinstance(state, State):
         raise TypeError(f"state is a {type(state).__name__}; build one with dpd.initial_state(...)")
     if flow is not None and not hasattr(flow, "force"):
-        raise TypeError(f"flow is {flow!r}; give dpd.shear(rate), dpd.body_force(...) or None")
+        raise TypeError(f"flow is {flow!r}; give dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...) or None")
     prng_key(key)
     positive(dt, "dt")
     shape = jnp.shape(state.position)

@@ -7,6 +7,7 @@ import numpy as np
 from dpdjax.checks import is_concrete, not_negative, positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
+from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt, suggest_skins
 from dpdjax.engine.state import State, assemble
 from dpdjax.model.fluid import Fluid
@@ -31,6 +32,8 @@ def initial_state(
     sheared: bool = True,
 ) -> State:
     """Beads in a box, with Maxwell velocities of zero total momentum.
+
+    At random, spheres (species with a radius) do not overlap, and points lie outside them.
 
     Args:
         fluid: what the beads are.
@@ -68,7 +71,8 @@ def initial_state(
             "fluid outside vmap or grad, then scan or differentiate the run"
         )
     counts = _counts(fluid, np.asarray(box.lengths, float), density, n, fractions)
-    position = _positions(start, key, box, sum(counts))
+    spheres = fluid.has_radii and start == "random"
+    position = _spheres_and_points(fluid, key, box, counts) if spheres else _positions(start, key, box, sum(counts))
     return placed(fluid, key, box, position, counts, skin=skin, dt=dt, sheared=sheared)
 
 
@@ -136,6 +140,19 @@ def _positions(start, key, box, n):
     if start == "lattice":
         return jnp.asarray(_lattice(n, np.asarray(box.lengths, float)), box.lengths.dtype)
     raise ValueError(f'start is {start!r}; it is "random" or "lattice"')
+
+
+def _spheres_and_points(fluid, key, box, counts):
+    """Positions (n, 3) in the order of the species."""
+    if not is_concrete(key):
+        raise ValueError("spheres are packed outside jit and vmap: build such states one by one, and stack them")
+    radius = np.repeat([0.0 if r is None else float(r) for r in fluid.radius], counts)
+    is_sphere = radius > 0
+    position = np.zeros((len(radius), 3), box.lengths.dtype)
+    position[is_sphere] = packing.pack(key, box, radius[is_sphere])
+    if not np.all(is_sphere):
+        position[~is_sphere] = packing.fill(key, box, position[is_sphere], radius[is_sphere], int(np.sum(~is_sphere)))
+    return jnp.asarray(position)
 
 
 def _lattice(n, lengths):

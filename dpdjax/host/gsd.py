@@ -100,7 +100,7 @@ def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int
             if not ran.complete:
                 break
     frames = {name: np.concatenate([p[name] for p in pieces if p]) for name in pieces[0]}
-    return Trajectory(state, frames, ran.fluid, ran.flow, ran.dt, plan.every, ran.complete)
+    return Trajectory(state, frames, ran.fluid, ran.flow, ran.dt, plan.every, ran.complete, ran.means)
 
 
 def _beads(fluid, state) -> dict:

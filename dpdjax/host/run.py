@@ -13,7 +13,7 @@ from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
 from dpdjax.engine.chunk import batched, complete_lists, replayed
-from dpdjax.engine.record import recorders
+from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 
@@ -59,7 +59,7 @@ def run(
     state = complete_lists(state)
     _refuse(fluid, state, key)
     observe = tuple(recorders(observe))
-    numbers = (fluid, dt, flow, lam)
+    numbers = (fluid, dt, flow, _averaged(observe, fluid, state))
 
     pieces, done = [], 0
     size = chunk_frames(plan, int(np.prod(state.position.shape[:-1])))
@@ -123,8 +123,16 @@ def _refuse(fluid, state, key):
         raise ValueError(trouble)
 
 
+def _averaged(how, fluid, state) -> tuple[str, ...]:
+    """:func:`dpdjax.engine.record.averaged` of one state, or of a batch."""
+    names = []
+    observe = lambda fluid, state: names.extend(averaged(how, fluid, state)) or 0
+    jax.eval_shape(jax.vmap(observe, (fluid.batch_axes(), 0)) if state.position.ndim == 3 else observe, fluid, state)
+    return tuple(names)
+
+
 def _trajectory(state, pieces, numbers, plan, complete):
-    fluid, dt, flow, _ = numbers
+    fluid, dt, flow, means = numbers
     axis = 1 if state.position.ndim == 3 else 0
     frames = jax.tree.map(lambda *parts: np.concatenate(parts, axis), *pieces) if pieces else {}
-    return Trajectory(state, frames, fluid, flow, jnp.asarray(dt, state.position.dtype), plan.every, complete)
+    return Trajectory(state, frames, fluid, flow, jnp.asarray(dt, state.position.dtype), plan.every, complete, means)

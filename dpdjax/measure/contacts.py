@@ -79,7 +79,7 @@ def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
 
 
 def _gap_of_fluid(what) -> float:
-    kappa = [] if isinstance(what, Spheres) else np.unique(what.fluid.coefficients.get("kappa", []))
+    kappa = np.unique(what.fluid.coefficients.get("kappa", [])) if hasattr(what, "fluid") else []
     if len(kappa) != 1:
         raise ValueError("no gap is given, and no fluid with one kappa tells it; give gap=... [length]")
     return KAPPA_GAP / float(kappa[0])

@@ -29,7 +29,7 @@ class Moduli:
         return self.loss.scaled(1.0 / self.frequency)
 
 
-def moduli(trajectory, *, skip: int = 1, averaged: bool = True) -> Moduli:
+def moduli(trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli:
     """Storage and loss modulus of a run under ``dpd.oscillatory_shear``.
 
     The stress ``-P_xy`` of every whole cycle is fitted by a constant, a sine and a cosine; the error is the
@@ -38,8 +38,8 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool = True) -> Moduli:
     Args:
         trajectory: a run, one or replicas, with ``pressure_tensor`` recorded at least 8 times a cycle.
         skip: cycles left out at the start.
-        averaged: whether frames are means over their interval, ``observe=dpd.mean(dpd.standard)``, as they
-            should be; the sine is then averaged too. False for snapshots.
+        averaged: whether frames are means over their interval, ``observe=dpd.mean(dpd.standard)``, which are less
+            noisy than snapshots; the sine is then averaged too. By default what the run knows of itself.
 
     Raises ValueError for another flow, a scan, no recorded stress, and less than two whole cycles after those left out.
     """
@@ -47,6 +47,7 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool = True) -> Moduli:
     time = _common_time(trajectory.frames)
     stress = -np.asarray(trajectory.frames["pressure_tensor"], float)[..., 0, 1].reshape(-1, time.size)
     interval = float(np.ravel(trajectory.interval)[0])
+    averaged = "pressure_tensor" in getattr(trajectory, "means", ["pressure_tensor"]) if averaged is None else averaged
     steps = trajectory.every if averaged else 1
     per_cycle = 2 * np.pi / (frequency * interval)
     if per_cycle < 8:

@@ -105,6 +105,8 @@ def of_run(trajectory, beads, radius) -> Spheres:
 
 
 def as_spheres(what) -> Spheres:
+    if not isinstance(what, Spheres) and not hasattr(what, "frames"):
+        raise TypeError(f"this measures a run or spheres, not a {type(what).__name__}; of one state, dpd.spheres_of(fluid, state)")
     return what if isinstance(what, Spheres) else spheres(what)
 
 

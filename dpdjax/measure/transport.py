@@ -7,6 +7,7 @@ since beads of one fluid are carried by the same eddies.
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 
@@ -123,7 +124,24 @@ def diffusion(
             f"{len(curves)} independent pieces give no error bar; run 8 times as long as the last lag "
             f"of the fit, {time[-1]:.4g}, or several replicas"
         )
+    if method == "msd":
+        _check_straight(time, curves, window)
     return from_replicas(read(time, curves, window))
+
+
+def _check_straight(time, curves, window):
+    """Warn where displacements still speed up over the lags of a fit: the slope there is not that of diffusion."""
+    lags = np.flatnonzero(window)
+    if len(lags) < 4:
+        return
+    early, late = (_slope(time, curves, half) for half in np.array_split(lags, 2))
+    change = late - early
+    if change.mean() > max(0.1 * early.mean(), 3 * change.std(ddof=1) / np.sqrt(len(change))):
+        warnings.warn(
+            f"the mean squared displacement is not yet straight between {time[lags[0]]:.4g} and {time[lags[-1]]:.4g}: its slope "
+            f"grows by {change.mean() / early.mean():.0%} within, so D is too small; run longer, or fit later lags, fit=(...)",
+            stacklevel=3,
+        )
 
 
 def _slope(time, curves, window):
@@ -144,7 +162,7 @@ def _window(time, fit):
     if window.sum() < 2:
         raise ValueError(
             f"fit = ({fit[0]:.4g}, {fit[1]:.4g}) holds {window.sum()} lags, at least 2 are needed; "
-            f"frames are {time[1]:.4g} apart"
+            f"frames are {time[1]:.4g} apart: run longer, or record closer frames"
         )
     return window
 

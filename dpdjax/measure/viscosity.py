@@ -199,6 +199,12 @@ def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
     return Estimate(float(solution[0]), float(np.sqrt(covariance[0, 0])), len(x))
 
 
+RECORD_OF = {
+    "pressure_tensor": "dpd.mean(dpd.shear_record)",
+    "flux": "dpd.green_kubo_record",
+    "flux_integral": "dpd.einstein_helfand_record",
+    "wave_velocity": "dpd.sine_record()",
+}
 _DIFFER = "the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]"
 
 
@@ -235,7 +241,7 @@ def _refuse_scan(trajectory):
 def _later(trajectory, skip, need=None) -> dict:
     """Frames after the first ``skip`` share of them."""
     if need is not None and need not in trajectory.frames:
-        raise ValueError(f"the run recorded no {need!r}; see the table in dpdjax.measure.viscosity for what to observe")
+        raise ValueError(f"the run recorded no {need!r}; use observe={RECORD_OF[need]}")
     axis = 1 if trajectory.is_batch else 0
     count = np.shape(trajectory.frames["time"])[axis]
     first = int(skip * count)

@@ -2,14 +2,16 @@
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
+import numpy as np
 
-from dpdjax.checks import not_negative, positive
+from dpdjax.checks import is_concrete, not_negative, positive
 from dpdjax.model import colloid_laws, laws
 from dpdjax.model.fluid import Fluid, fluid, interaction
-from dpdjax.model.term import Term, term
+from dpdjax.model.term import Term, several, term
 
 SOLVENT, COLLOID = 0, 1
 """Species of a suspension."""
@@ -59,7 +61,8 @@ def colloid_fluid(
         repulsion: strength of the soft repulsions ``a r_c`` [kT].
         modulus: contact force ``f`` [kT/r_c].
         Delta, delta: roughness for contacts, and gap below which lubrication is constant [length].
-        attraction: one or more potentials of the gap in place of Morse, e.g. ``dpd.term(dpd.asakura_oosawa, ...)``.
+        attraction: one or more potentials of the gap in place of Morse, e.g. ``dpd.term(dpd.asakura_oosawa, ...)``; without it
+            for a start, set its depth to zero, e.g. ``fluid.set(phi_p=0.0)``.
         solvent_repulsion: or ``dpd.scripts_repulsion``.
         contact: or ``dpd.scaled_contact``.
         lubrication: or ``dpd.unequal_lubrication``, exact for unequal radii.
@@ -76,7 +79,9 @@ def colloid_fluid(
     up_to_r_c = {"reach": colloid_laws.solvent_cut, "r_c": r_c}
     if attraction is None:
         attraction = term(colloid_laws.morse, D0=D0, kappa=kappa, r0=r0, **up_to_r_c)
-    attraction = [attraction] if isinstance(attraction, Term) else list(attraction)
+    elif is_concrete(D0) and np.any(np.asarray(D0) != 0):
+        warnings.warn(f"D0 is {D0}, the depth of the Morse attraction, and not used: attraction= is given instead", stacklevel=2)
+    attraction = several(attraction)
     strength, rub = repulsion * kT, {"gamma": gamma, "r_c": r_c}
     squeeze = {"eta_0": eta_0, "delta": delta}
     soft = term(laws.soft_repulsion, a=strength / r_c, r_c=r_c)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import not_negative, number, positive
-from dpdjax.model.term import Term, check_table, replace_coefficients
+from dpdjax.model.term import Term, check_table, replace_coefficients, several
 
 ORIGINS = ("conservative", "drag", "random")
 """Where stress comes from, unless a term has a name of its own for it."""
@@ -174,10 +174,8 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
 
     Raises ValueError for groups that overlap, or without any term; TypeError for what is not a term.
     """
-    parts = [((t,) if isinstance(t, Term) else tuple(t)) for t in (conservative, drag, () if random is None else random)]
+    parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
     for t in parts[0] + parts[1] + parts[2]:
-        if not isinstance(t, Term):
-            raise TypeError(f"{t!r} is not a term; write dpd.term(law, coefficient=...)")
         _check_coefficients(t.coefficients)
     if not parts[0] + parts[1]:
         raise ValueError("a fluid without terms does nothing; give conservative=[...] or drag=[...]")

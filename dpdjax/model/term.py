@@ -80,7 +80,8 @@ def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients
     wanted = {k: needed for k, needed in wanted.items() if k not in GIVEN}
     for given in coefficients:
         if given not in wanted:
-            raise TypeError(f"{name} has no coefficient {given!r}; it takes {', '.join(wanted)}")
+            takes = ", ".join(wanted) or "none: coefficients come after a star, def law(h, *, ...)"
+            raise TypeError(f"{name} has no coefficient {given!r}; it takes {takes}")
     missing = [w for w, needed in wanted.items() if needed and w not in coefficients]
     if missing:
         raise TypeError(f"{name} lacks {', '.join(missing)}; give {missing[0]}=... to dpd.term")
@@ -93,6 +94,15 @@ def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients
         raise ValueError(f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)")
     cut = None if reach is None or callable(reach) else positive(reach, f"reach of {name}")
     return Term(law, values, cut, declared, origin)
+
+
+def several(terms) -> list[Term]:
+    """One term or a sequence of them, as a list; TypeError for anything else."""
+    terms = [terms] if isinstance(terms, Term) or callable(terms) else list(terms)
+    for t in terms:
+        if not isinstance(t, Term):
+            raise TypeError(f"{getattr(t, '__name__', repr(t))} is not a term; write dpd.term(law, coefficient=...)")
+    return terms
 
 
 @functools.cache

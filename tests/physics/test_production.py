@@ -1,6 +1,6 @@
 """Judges the production measurements; run ``python -m pytest -m slow``.
 
-Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md.
+Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md or SUSPENSIONS.md.
 """
 
 import json
@@ -17,11 +17,11 @@ HERE = pathlib.Path(__file__).parent
 pytestmark = pytest.mark.slow
 
 
-def measured(room):
+def measured(room, script="measure.py", data="results.json"):
     """The rows of a room, measured now, as (value, reference) by quantity and state."""
     environment = dict(os.environ, JAX_ENABLE_X64="0")
-    subprocess.run([sys.executable, str(HERE / "measure.py"), room], check=True, env=environment)
-    rows = json.loads((HERE / "results.json").read_text())[room]["rows"]
+    subprocess.run([sys.executable, str(HERE / script), room], check=True, env=environment)
+    rows = json.loads((HERE / data).read_text())[room]["rows"]
     number = lambda v: Estimate(*v) if isinstance(v, list) else v
     return {(r["quantity"], r["state"]): (number(r["value"]), number(r["reference"])) for r in rows}
 
@@ -94,3 +94,43 @@ def test_identities_of_averages():
 def test_main_job_against_lammps():
     ((referee, target),) = by_quantity(measured("main_job"), "viscosity, LAMMPS, dt 0.0005, rate 0.1")
     assert abs(referee.value - target) < 0.03 * target + referee.error
+
+
+def suspended(room):
+    return measured(room, "suspensions.py", "suspensions.json")
+
+
+def test_held_pairs_have_the_temperature_of_their_noise():
+    for (name, _), pair in suspended("pair_temperature").items():
+        assert within(pair, 0.01 if "exact" in name else 0.02), name
+
+
+def test_solvent_and_colloids_have_one_temperature():
+    assert all(within(pair, 0.01) for pair in suspended("temperatures").values())
+
+
+def test_colloids_diffuse_between_stick_and_slip():
+    rows = suspended("diffusion")
+    (stick, _), (slip, _) = (by_quantity(rows, f"D over {name}")[0] for name in ("stick, kT/(6 pi eta R)", "slip, kT/(4 pi eta R)"))
+    # Neighbours slow a sphere with stick to 0.90 of it.
+    assert stick.value + 2 * stick.error > 0.9 and slip.value - 2 * slip.error < 1.0
+
+
+def test_viscosity_of_suspensions_lies_near_that_of_hard_spheres():
+    rows = suspended("viscosity")
+    relative = by_quantity(rows, "relative viscosity")
+    assert all(value.error < 0.02 * value.value for value, _ in relative)
+    slip = (1.05, 1.10, 1.20)
+    for (value, batchelor), least in zip(relative, slip):
+        assert value.value + 2 * value.error > least and value.value - 2 * value.error < 1.1 * batchelor
+
+
+def test_pairs_without_repulsion_by_the_solvent_follow_their_potential():
+    shares = [value for value, _ in suspended("well").values()]
+    assert all(abs(share.value - 1) < 4 * share.error for share in shares)
+
+
+def test_free_pairs_follow_the_force_on_held_ones():
+    """Within what the errors of both allow, 0.06 kT for the force integrated across the barrier."""
+    for share, _ in suspended("free_pair").values():
+        assert abs(share.value - 1) < 3 * (share.error**2 + 0.06**2) ** 0.5
