@@ -1,6 +1,7 @@
 """Rooms of measurements: each a function that returns rows of a table; results are kept as they come."""
 
 import datetime
+import inspect
 import json
 import platform
 import time
@@ -24,7 +25,10 @@ def row(quantity, state, value, reference="", source="", note=""):
 
 
 def measure(rooms, names, data: str, page: str, heading: str):
-    """Run the named rooms (all by default), and write the data (JSON) and the page (Markdown) after each."""
+    """Run the named rooms (all by default), and write the data (JSON) and the page (Markdown) after each.
+
+    The first line of a room's docstring is its title; the rest says below its table what the numbers mean.
+    """
     file = HERE / data
     for room in rooms:
         if names and room.__name__ not in names:
@@ -33,7 +37,7 @@ def measure(rooms, names, data: str, page: str, heading: str):
         rows = room()
         results = json.loads(file.read_text()) if file.exists() else {}  # now: other rooms may run beside this one
         results[room.__name__] = {
-            "title": room.__doc__.strip(),
+            "title": title_and_text(room)[0],
             "date": datetime.date.today().isoformat(),
             "versions": f"dpdjax {dpd.__version__}, jax {jax.__version__}, Python {platform.python_version()}",
             "device": jax.devices()[0].device_kind,
@@ -43,6 +47,11 @@ def measure(rooms, names, data: str, page: str, heading: str):
         file.write_text(json.dumps(results, indent=1) + "\n")
         (HERE / page).write_text(table(rooms, results, heading))
         print(f"{room.__name__}: {results[room.__name__]['seconds']} s", *map(text, rows), sep="\n  ", flush=True)
+
+
+def title_and_text(room) -> tuple[str, str]:
+    title, _, said = inspect.cleandoc(room.__doc__).partition("\n")
+    return title, said.strip()
 
 
 def text(r) -> str:
@@ -64,4 +73,6 @@ def table(rooms, results, heading: str) -> str:
         lines += ["", f"## {r['title']}", "", f"{r['date']}, {r['versions']}, {r['device']}, {r['seconds']} s", ""]
         lines += ["| quantity | state | value | reference | source | note |", "|---|---|---|---|---|---|"]
         lines += [f"| {text(line)} |" for line in r["rows"]]
+        said = title_and_text(room)[1]
+        lines += ["", said] if said else []
     return "\n".join(lines) + "\n"
