@@ -6,26 +6,31 @@
 import importlib
 
 _HOMES = {
-    "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag"],
+    "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag", "transverse_drag"],
     "dpdjax.model.colloid_laws": [
         "asakura_oosawa", "balanced_cut", "balanced_drag", "balanced_repulsion", "contact", "literal_drag", "literal_noise",
         "morse", "scaled_contact", "scripts_repulsion", "solvent_cut", "squeezing_lubrication", "unequal_lubrication", "yukawa",
     ],
-    "dpdjax.model.term": ["Term", "reaches", "term"],
+    "dpdjax.model.marble_laws": ["shifted_repulsion", "surface_drag"],
+    "dpdjax.model.term": ["Term", "projected", "reaches", "term"],
     "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid", "interaction"],
     "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time", "pure_solvent"],
+    "dpdjax.model.marbles": ["marble_fluid"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
-    "dpdjax.engine.flow": ["shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field"],
+    "dpdjax.engine.flow": ["shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field", "drive"],
     "dpdjax.engine.advice": ["suggest_dt", "suggest_skin"],
     "dpdjax.engine.state": ["State", "grow"],
     "dpdjax.engine.start": ["initial_state"],
     "dpdjax.engine.suspension": ["Suspension", "suspension"],
+    "dpdjax.engine.marbles": ["Marbles", "marbles"],
+    "dpdjax.engine.rotation": ["Rotation"],
     "dpdjax.engine.record": ["mean", "integral"],
     "dpdjax.engine.simulate": ["Plan", "Trajectory", "simulate"],
     "dpdjax.engine.observables": [
         "configurational_temperature", "instantaneous_viscosity", "momentum", "positions", "positions_of",
-        "pressure_by_origin", "pressure_tensor", "standard", "static_pressure", "stresses", "temperature", "total_pressure",
+        "pressure_by_origin", "pressure_tensor", "rotational_temperature", "rotations", "standard", "static_pressure",
+        "stresses", "temperature", "total_pressure",
     ],
     "dpdjax.measure.statistics": ["Estimate", "block_average"],
     "dpdjax.measure.structure": ["radial_distribution"],
@@ -37,6 +42,13 @@ _HOMES = {
     "dpdjax.measure.solvent": ["solvent_density"],
     "dpdjax.measure.scattering": ["structure_factor"],
     "dpdjax.measure.transport": ["diffusion", "mean_squared_displacement", "velocity_autocorrelation"],
+    "dpdjax.measure.rotation": [
+        "angular_velocity_autocorrelation", "orientation_correlation", "rotational_diffusion",
+    ],
+    "dpdjax.measure.drive": ["Driven", "driven_diffusion", "driven_rotation"],
+    "dpdjax.measure.hydrodynamics": [
+        "angular_velocity_tail", "hydrodynamic_radius", "sphere_diffusion", "sphere_rotational_diffusion", "velocity_tail",
+    ],
     "dpdjax.measure.rheology": ["Moduli", "moduli"],
     "dpdjax.measure.viscosity": [
         "einstein_helfand", "einstein_helfand_record", "extrapolate", "green_kubo", "green_kubo_record",

@@ -176,7 +176,7 @@ def colloids():
             position = start.at[1, 0].set(SIDE + 0.1 - r)
             velocity = jnp.zeros((2, 3)).at[0, 0].set(speed)
             placed = dataclasses.replace(state, position=position, size=sizes)
-            force, tally = pair_force(fluid, placed, velocity, 0.0, jax.random.key(0), DT, True)
+            force, _, tally = pair_force(fluid, placed, velocity, 0.0, jax.random.key(0), DT, True)
             return force, tally
 
         return jax.vmap(one)(gaps)

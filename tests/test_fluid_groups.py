@@ -54,7 +54,7 @@ def test_each_pair_of_groups_has_its_own_law():
     position = jnp.asarray(np.stack([x, 0 * x + 1, 0 * x + 1], axis=1))
     state = placed(fluid, jax.random.key(0), box, position, (1, 1, 2), skin=0.1, dt=0.01)
     assert [n.grid.groups for n in state.neighbours] == [((0, 2), (0, 2)), ((0, 2), (2, 4))]
-    force, _ = jax.jit(lambda s: pair_force(fluid, s, s.velocity, 0.0, jax.random.key(0), 0.01))(state)
+    force, _, _ = jax.jit(lambda s: pair_force(fluid, s, s.velocity, 0.0, jax.random.key(0), 0.01))(state)
     expected = np.zeros(4)
     for i, j, push in ((0, 1, 10 * 0.4), (0, 2, 20 * (1 - 1.2 / 1.5)), (0, 3, 20 * (1 - 1.4 / 1.5)),
                        (1, 2, 20 * (1 - 0.6 / 1.5)), (1, 3, 20 * (1 - 0.8 / 1.5))):  # fmt: skip

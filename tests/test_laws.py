@@ -22,7 +22,7 @@ def pair(r, speed=0.0, species=(0, 0)):
 
 
 def force_on_first(fluid, state):
-    force, tally = pair_force(fluid, state, state.velocity, 0.0, jax.random.key(0), 0.01, True)
+    force, _, tally = pair_force(fluid, state, state.velocity, 0.0, jax.random.key(0), 0.01, True)
     assert jnp.array_equal(force[0], -force[1])
     return force[0], tally
 

@@ -69,9 +69,9 @@ def test_products_are_the_averages_over_origins():
     x = np.random.default_rng(1).normal(size=(30, 7, 3))
     origins = range(30 - 12)
     by_hand = [np.mean([np.sum(x[o] * x[o + lag], axis=1) for o in origins]) for lag in range(13)]
-    assert np.allclose(transport._autocorrelation(x, 12), by_hand)
+    assert np.allclose(transport.autocorrelation(x, 12), by_hand)
     by_hand = [np.mean([np.sum((x[o] - x[o + lag]) ** 2, axis=1) for o in origins]) for lag in range(13)]
-    assert np.allclose(transport._squared_displacement(x, 12), by_hand)
+    assert np.allclose(transport.squared_displacement(x, 12), by_hand)
 
 
 def test_beads_in_several_groups_are_all_counted(monkeypatch):

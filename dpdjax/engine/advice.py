@@ -14,6 +14,7 @@ from dpdjax.checks import is_concrete
 from dpdjax.model.colloid_laws import morse
 from dpdjax.model.colloids import diffusion_time
 from dpdjax.model.fluid import Fluid, Interaction
+from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
 
 REBUILD_COST = 1.0
 """One rebuild in units of one force pass over the same list (measured: tests/benchmarks)."""
@@ -22,6 +23,8 @@ SORTING_COST = 2.4
 CLOSE_NEIGHBOURS = 6
 """Of a colloid in a gel; each shares half of the damping of its pair."""
 SAMPLES = 400
+DIRECTIONS = {CENTRAL: 1, TRANSVERSE: 2, FULL: 3}
+"""In which a friction acts."""
 TOUCHING = 1e-6
 """Gap of colloids that all but touch, in reaches: some laws are zero in overlap."""
 PRODUCTION_SIDE = 30.0
@@ -44,8 +47,7 @@ def suggest_dt(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -
     error = 0.7 / (1.0 + min(repulsion_energy(numbers, density) / kT, 16.0) / 20.0)
     rate = max(damping_rate(numbers, density), 1e-12)
     thermal = math.sqrt(float(np.min(numbers.mass)) / kT) * shortest_reach(numbers)
-    between_colloids = dt_limits(fluid, density, sizes)[2:]
-    return min(0.005 / (error * rate), 0.01 * thermal, *(0.7 * limit for _, limit in between_colloids))
+    return min(0.005 / (error * rate), 0.01 * thermal, *(0.7 * limit for _, limit in dt_limits(fluid, density, sizes)[1:]))
 
 
 def dt_limits(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> list[tuple[str, float]]:
@@ -113,12 +115,14 @@ def _diffusion_time(numbers) -> float:
 def damping_rate(fluid: Fluid, density) -> float:
     """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times the integral of zeta [1/time].
 
+    Twice or three times that for frictions across the line of centres, or in all directions.
+
     ``density`` as for :func:`suggest_dt`. Drag between colloids is not in it.
     """
     densities = _densities(fluid, density)
     rates = np.zeros(fluid.species)
     for i in (i for i in fluid.interactions if not _is_between_colloids(fluid, i)):
-        friction = sum(_volume_integral(fluid, i, t) for t in i.drag)
+        friction = sum(DIRECTIONS[t.projector] * _volume_integral(fluid, i, t) for t in i.drag)
         # Within one group both directions are the same.
         for mine, other in {i.groups, i.groups[::-1]}:
             rates[list(mine)] += friction * densities[list(other)].sum()
@@ -137,7 +141,7 @@ def pair_frequency(fluid: Fluid, interaction: Interaction, sizes: tuple[float, f
     """Fastest oscillation of two beads, ``sqrt(U'' / mu)``, at distances they reach with 4 kT [1/time]."""
     stiffest = 0.0
     for t in interaction.conservative:
-        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes)
+        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes, inside=True)
         reached = energy - energy.min() <= 4.0 * float(fluid.kT)
         stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
     a, b = _masses(fluid, interaction, sizes)
@@ -145,9 +149,10 @@ def pair_frequency(fluid: Fluid, interaction: Interaction, sizes: tuple[float, f
 
 
 def shortest_reach(fluid: Fluid) -> float:
-    """Shortest gap at which any term between other beads than two colloids ends [length]."""
+    """Shortest gap at which any friction, or else potential, between other beads than two colloids ends [length]."""
     solvent = [i for i in fluid.interactions if not _is_between_colloids(fluid, i)] or fluid.interactions
-    return min(float(np.min(t.between(**_given(fluid, i))[1])) for i in solvent for t in i.terms)
+    terms = [(i, t) for i in solvent for t in i.drag] or [(i, t) for i in solvent for t in i.terms]
+    return min(float(np.min(t.between(**_given(fluid, i))[1])) for i, t in terms)
 
 
 def suggest_skin(fluid: Fluid, dt, interaction: int = 0, sorting: float = 0.0) -> float:
@@ -194,9 +199,10 @@ def extreme(fluid: Fluid, least: str | None = None) -> Fluid:
         return dataclasses.replace(t, coefficients=coefficients, cut=None if t.cut is None else largest(t.cut))
 
     mass = np.asarray(fluid.mass, float)
-    radius = tuple(None if r is None else largest(r) for r in fluid.radius)
+    of_each = lambda values, extreme: tuple(None if x is None else extreme(np.asarray(x, float)) for x in values)
+    radius, inertia = of_each(fluid.radius, np.max), of_each(fluid.inertia, np.min)
     interactions = tuple(i.map_terms(of_term) for i in fluid.interactions)
-    return Fluid(interactions, largest(fluid.kT), mass.reshape(-1, mass.shape[-1]).min(0), radius)
+    return Fluid(interactions, largest(fluid.kT), mass.reshape(-1, mass.shape[-1]).min(0), radius, inertia)
 
 
 def _cases(fluid):
@@ -258,14 +264,18 @@ def _volume_integral(fluid, interaction, term) -> float:
     return float(np.sum(4 * np.pi * r**2 * values) * width)
 
 
-def _sampled(fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0)):
-    """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and the step."""
+def _sampled(fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0), inside: bool = False):
+    """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and the step.
+
+    ``inside``: spheres from as deep in overlap on.
+    """
     given = _given(fluid, interaction, sizes)
     law, reach = term.between(np.max, **given)
     width = float(reach) / SAMPLES
-    gap = (np.arange(SAMPLES) + 0.5) * width
+    count = SAMPLES if inside and given["R_i"] + given["R_j"] > 0 else 0
+    gap = (np.arange(-count, SAMPLES) + 0.5) * width
     with jax.ensure_compile_time_eval():
-        h, one = jnp.asarray(gap), jnp.ones(SAMPLES)
+        h, one = jnp.asarray(gap), jnp.ones(len(gap))
         slope = lambda h: jax.jvp(law, (h,), (one,))[1]
         curvature = np.asarray(jax.jvp(slope, (h,), (one,))[1], float) if curved else None
         values = np.asarray(jnp.broadcast_to(law(h), h.shape), float)

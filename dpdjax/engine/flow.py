@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from dpdjax.checks import number, positive
+from dpdjax.checks import is_concrete, number, positive
 
 
 class Flow:
@@ -29,6 +29,10 @@ class Flow:
 
     def force(self, state, mass):
         """Force on each bead (n, 3), or None."""
+        return None
+
+    def torque(self, state):
+        """Torque on each bead that rotates (m, 3), or None."""
         return None
 
     def batch_axes(self):
@@ -99,6 +103,36 @@ class BodyForce(Flow):
         return f
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Drive(Flow):
+    """A force and a torque on every bead of one species, the rest held back; see :func:`drive`."""
+
+    push: Any
+    twist: Any
+    species: int = dataclasses.field(metadata={"static": True})
+    reaction: str = dataclasses.field(metadata={"static": True})
+    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
+
+    def force(self, state, mass):
+        """Force on each bead (n, 3), without a net one."""
+        driven = (state.species == self.species)[:, None].astype(state.position.dtype)
+        bearing = mass if self.reaction == "all" else mass * (1.0 - driven)
+        push = self.push[None, :]
+        return driven * push - bearing * (jnp.sum(driven) * push / jnp.sum(bearing))
+
+    def torque(self, state):
+        """Torque on each bead that rotates (m, 3), or None where none does."""
+        if state.rotation is None:
+            return None
+        turning = state.species[state.rotation.slots] == self.species
+        return jnp.where(turning[:, None], self.twist[None, :], 0.0)
+
+    def batch_axes(self):
+        axes = [0 if jnp.ndim(x) == 2 else None for x in (self.push, self.twist)]
+        return None if axes == [None, None] else dataclasses.replace(self, push=axes[0], twist=axes[1])
+
+
 def quiet() -> Quiet:
     """No flow: a fluid in equilibrium."""
     return Quiet()
@@ -132,6 +166,37 @@ def body_force(field: Callable, *, balance: bool = True, **numbers) -> BodyForce
         **numbers: the field's numbers (leaves).
     """
     return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance)
+
+
+def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> Drive:
+    """The same force and torque on each bead of one species, as large spheres are driven to measure their drag.
+
+    Momentum stays as it is: every bead, or every other one, feels a force in proportion to its mass that makes up for the
+    sum. Nothing makes up for the torque. Measure with :func:`dpdjax.driven_diffusion` and
+    :func:`dpdjax.driven_rotation`.
+
+    Args:
+        force: on each driven bead, along x or a vector (3,) [force].
+        torque: on each driven bead that rotates, about x or a vector (3,) [energy].
+        species: the driven one.
+        reaction: ``"all"`` takes the sum from all beads, the driven ones included, as one acceleration; ``"others"``
+            from the others alone.
+
+    For a batch, give ``force`` or ``torque`` as (members, 3). Raises ValueError for an unknown reaction, or nothing to drive.
+    """
+    if reaction not in ("all", "others"):
+        raise ValueError(f'reaction is {reaction!r}; it is "all" or "others"')
+    push, twist = (_along_x(number(x, name), name) for x, name in ((force, "force"), (torque, "torque")))
+    if is_concrete(push, twist) and not jnp.any(push) and not jnp.any(twist):
+        raise ValueError("nothing is driven: give force=... or torque=...")
+    return Drive(push, twist, species, reaction)
+
+
+def _along_x(value, name: str):
+    vector = value * jnp.array([1.0, 0.0, 0.0], value.dtype) if value.ndim == 0 else value
+    if vector.ndim > 2 or vector.shape[-1] != 3:
+        raise ValueError(f"{name} has shape {value.shape}; give a number along x, a vector (3,), or (members, 3) for a batch")
+    return vector
 
 
 def sine_field(position, time, *, amplitude, wavenumber):

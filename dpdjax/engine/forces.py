@@ -10,6 +10,7 @@ from dpdjax.engine import noise
 from dpdjax.engine.batching import on_cpu
 from dpdjax.engine.state import Tally, radii
 from dpdjax.model.fluid import ORIGINS, Fluid, Interaction
+from dpdjax.model.term import CENTRAL, TRANSVERSE
 
 BLOCK, BLOCKED_FROM = 65_536, 1_000_000
 """Pairs of a block, and of the smallest list worked on in blocks (measured: tests/benchmarks)."""
@@ -17,7 +18,11 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class Pairs(NamedTuple):
-    """The geometry of a list of pairs, by component; every entry has shape (pairs,)."""
+    """The geometry of a list of pairs, by component; every entry has shape (pairs,).
+
+    ``v`` is the approach along ``e``, ``across`` the velocity of the two surfaces past each other, perpendicular to ``e``;
+    None where nothing asks for it.
+    """
 
     i: jax.Array
     j: jax.Array
@@ -26,6 +31,7 @@ class Pairs(NamedTuple):
     h: jax.Array
     e: tuple
     v: jax.Array
+    across: tuple | None
     si: jax.Array
     sj: jax.Array
     R_i: jax.Array
@@ -33,26 +39,35 @@ class Pairs(NamedTuple):
 
 
 class Beads(NamedTuple):
-    """What the pairs read of the beads, in columns of shape (n,); no radii where all are points."""
+    """What the pairs read of the beads, in columns of shape (n,); no radii where all are points.
+
+    ``spin``: angular velocities of the beads that rotate, from the slot ``turning_from`` on, in columns; or None.
+    """
 
     position: tuple
     velocity: tuple
     species: jax.Array
     id: jax.Array
     radius: jax.Array | None
+    spin: tuple | None = None
+    turning_from: int = 0
 
     @classmethod
     def of(cls, fluid, state, velocity) -> "Beads":
         # Whole columns first: XLA would fold what makes them into every single read.
         columns = lambda rows: tuple(rows[:, k] for k in range(3))
         x, v = jax.lax.optimization_barrier((columns(state.position), columns(velocity)))
-        return cls(x, v, state.species, state.id, radii(fluid, state) if fluid.has_radii else None)
+        radius = radii(fluid, state) if fluid.has_radii else None
+        turning = state.rotation
+        spin, begin = (None, 0) if turning is None else (columns(turning.velocity), turning.begin)
+        return cls(x, v, state.species, state.id, radius, spin, begin)
 
 
-def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False)) -> Pairs:
-    """Distance, gap, direction and approach velocity of each pair of ``idx`` (2, pairs).
+def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: bool = False) -> Pairs:
+    """Distance, gap, direction and relative velocity of each pair of ``idx`` (2, pairs).
 
-    ``spheres``: whether the first and the second beads have radii at all (static).
+    ``spheres``: whether the first and the second beads have radii at all; ``across``: whether the velocity
+    perpendicular to the line of centres is wanted (static).
 
     The lab velocities of two beads differ by their peculiar velocities and by
     ``rate y_ij`` of the nearest image, which is the jump across the y-boundary too.
@@ -67,11 +82,31 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False)) -> Pairs
     inverse = jax.lax.rsqrt(jnp.where(real, square, 1.0))
     e = (dx * inverse, dy * inverse, dz * inverse)
     vx, vy, vz = (take(c, i) - take(c, j) for c in beads.velocity)
-    approach = e[0] * (vx + rate * dy) + e[1] * vy + e[2] * vz
+    vx = vx + rate * dy
+    approach = e[0] * vx + e[1] * vy + e[2] * vz
     r = jnp.where(real, square * inverse, jnp.inf)
     R_i, R_j = (take(beads.radius, k) if has else jnp.zeros((), r.dtype) for k, has in zip((i, j), spheres))
     h = r - (R_i + R_j) if any(spheres) else r
-    return Pairs(idx[0], idx[1], real, r, h, e, approach, take(beads.species, i), take(beads.species, j), R_i, R_j)
+    past = None
+    if across:
+        past = tuple(u - approach * c for u, c in zip((vx, vy, vz), e))
+        if beads.spin is not None:
+            # Surface points lie at -R_i e and R_j e from the centres, and move as omega x arm.
+            both = tuple(R_i * a + R_j * b for a, b in zip(spin_of(beads, i), spin_of(beads, j)))
+            past = tuple(p - c for p, c in zip(past, cross(both, e)))
+    return Pairs(idx[0], idx[1], real, r, h, e, approach, past, take(beads.species, i), take(beads.species, j), R_i, R_j)
+
+
+def spin_of(beads: Beads, slots) -> tuple:
+    """Angular velocity, by component, of the beads in ``slots`` (pairs,); 0 for those that do not rotate."""
+    row, rows = slots - beads.turning_from, beads.spin[0].shape[0]
+    turns = (row >= 0) & (row < rows)
+    return tuple(jnp.where(turns, take(c, jnp.clip(row, 0, rows - 1)), 0.0) for c in beads.spin)
+
+
+def cross(a: tuple, b: tuple) -> tuple:
+    """Vector product of two vectors by component."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def take(x, i):
@@ -110,50 +145,92 @@ def safe_sqrt(x):
     return jnp.where(above, jnp.sqrt(jnp.where(above, x, 1.0)), 0.0)
 
 
-def pair_forces(interaction: Interaction, kT, pairs: Pairs, words, of_bead, dt):
-    """Energy of each pair, and its forces along ``e`` by origin.
+class Words(NamedTuple):
+    """What keys the noise of one step and interaction: its own words, those of a vector, and one of each bead (n,)."""
 
-    ``words`` key the noise of the step, ``of_bead`` (n,) that of each bead (``dpdjax.engine.noise``).
+    step: jax.Array
+    vector: jax.Array | None
+    bead: jax.Array
+
+    @classmethod
+    def of(cls, key, step, channel: int, ids, vector: bool) -> "Words":
+        step_words = noise.step_words(key, step, channel)
+        of_bead = jax.lax.optimization_barrier(noise.bead_words(step_words, ids))
+        return cls(step_words, noise.vector_words(key, step, channel) if vector else None, of_bead)
+
+    def of_pairs(self, pairs: Pairs):
+        """The words of both beads of each pair."""
+        n = self.bead.shape[0]
+        return tuple(take(self.bead, jnp.minimum(k, n - 1)) for k in (pairs.i, pairs.j))
+
+
+def central_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt):
+    """Energy of each pair, and its forces along ``e`` by origin.
 
     The random force follows from the *sum* of the frictions, so fluctuation and
     dissipation balance for any drag law (Espanol & Warren 1995, eq. 8).
     """
-    energy, forces, zeta = 0.0, {}, 0.0
+    energy, forces = 0.0, {}
     for origin, terms in by_origin(interaction.conservative, ORIGINS[0]).items():
         potential, forces[origin] = evaluate(terms, pairs, kT, derivative=True)
         energy = energy + potential
-    for origin, terms in by_origin(interaction.drag, ORIGINS[1]).items():
-        friction = evaluate(terms, pairs, kT, derivative=False)
+    frictions, zeta = friction_by_origin(interaction, pairs, kT, TRANSVERSE)
+    for origin, friction in frictions.items():
         forces[origin] = forces.get(origin, 0.0) - friction * pairs.v
-        zeta = zeta + friction
-    if interaction.random is not None:
-        zeta = evaluate(interaction.random, pairs, kT, derivative=False)
-    n = of_bead.shape[0]
-    a, b = (take(of_bead, jnp.minimum(k, n - 1)) for k in (pairs.i, pairs.j))
-    xi = noise.pair_noise(words, a, b, pairs.v.dtype.type)
+    xi = noise.pair_noise(words.step, *words.of_pairs(pairs), pairs.v.dtype.type)
     return energy, forces | {ORIGINS[2]: safe_sqrt(2.0 * kT * zeta / dt) * xi}
+
+
+def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt):
+    """Forces perpendicular to ``e`` by origin, each by component: drag on ``across``, and its noise by the same projector."""
+    frictions, zeta = friction_by_origin(interaction, pairs, kT, CENTRAL)
+    forces = {origin: tuple(-friction * u for u in pairs.across) for origin, friction in frictions.items()}
+    xi = noise.pair_vector(words.vector, *words.of_pairs(pairs), pairs.v.dtype.type)
+    along = sum(x * e for x, e in zip(xi, pairs.e))
+    strength = safe_sqrt(2.0 * kT * zeta / dt)
+    return forces | {ORIGINS[2]: tuple(strength * (x - along * e) for x, e in zip(xi, pairs.e))}
+
+
+def friction_by_origin(interaction: Interaction, pairs: Pairs, kT, other: str):
+    """Frictions by origin, those with the projector ``other`` left out, and the sum that the noise follows from."""
+    among = lambda terms: [t for t in terms if t.projector != other]
+    frictions = {
+        origin: evaluate(among(terms), pairs, kT, derivative=False)
+        for origin, terms in by_origin(interaction.drag, ORIGINS[1]).items()
+        if among(terms)
+    }
+    if interaction.random is not None:
+        return frictions, evaluate(among(interaction.random), pairs, kT, derivative=False)
+    return frictions, sum(frictions.values())
 
 
 def geometry(fluid, box, beads: Beads, interaction: Interaction, idx, rate) -> Pairs:
     """:func:`pair_geometry` of pairs of one interaction."""
     spheres = tuple(any(fluid.radius[k] is not None for k in group) for group in interaction.groups)
-    return pair_geometry(box, beads, idx, rate, spheres)
+    return pair_geometry(box, beads, idx, rate, spheres, not interaction.is_central)
 
 
-def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words, dt, tally: bool):
-    """Force on each bead (n, 3) from one list, and the sums over its pairs where asked for."""
+def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: Words, dt, tally: bool):
+    """Force on each bead (n, 3) from one list, torque (m, 3) or None, and the sums over its pairs where asked for."""
     n, dtype = beads.id.shape[0], beads.position[0].dtype
-    of_bead = jax.lax.optimization_barrier(noise.bead_words(words, beads.id))
+    turning = not interaction.is_central and beads.spin is not None
 
     def add(sums, part):
-        net, totals = sums
+        net, torque, totals = sums
         pairs = geometry(fluid, box, beads, interaction, part, rate)
-        energy, forces = pair_forces(interaction, fluid.kT, pairs, words, of_bead, dt)
-        net = net_add(net, pairs, sum(forces.values()))
-        return net, totals.plus(*sum_pairs(pairs, energy, forces)) if tally else totals
+        energy, along = central_forces(interaction, fluid.kT, pairs, words, dt)
+        across = None if interaction.is_central else transverse_forces(interaction, fluid.kT, pairs, words, dt)
+        push = None if across is None else tuple(map(sum, zip(*across.values())))
+        net = net_add(net, pairs, sum(along.values()), push)
+        torque = torque_add(torque, beads, pairs, push) if turning else None
+        if tally:
+            totals = totals.plus(*sum_pairs(pairs, energy, along))
+            totals = totals if across is None else totals.plus(0.0, sum_across(pairs, across))
+        return net, torque, totals
 
-    sums = over_blocks(add, (net_zero(n, dtype), Tally.zero(dtype, fluid.origins)), idx, n)
-    return net_force(sums[0]), sums[1] if tally else None
+    start = (net_zero(n, dtype), jnp.zeros((len(beads.spin[0]), 3), dtype) if turning else None, Tally.zero(dtype, fluid.origins))
+    net, torque, totals = over_blocks(add, start, idx, n)
+    return net_force(net), torque, totals if tally else None
 
 
 def sum_onto_beads(pairs: Pairs, along, n: int):
@@ -190,10 +267,12 @@ def net_zero(n: int, dtype):
     return parts, parts
 
 
-def net_add(net, pairs: Pairs, along):
-    """Add ``along`` e of every pair to the sums of its first and of its second bead."""
+def net_add(net, pairs: Pairs, along, across=None):
+    """Add ``along`` e, and ``across``, of every pair to the sums of its first and of its second bead."""
+    f = tuple(along * e for e in pairs.e)
+    f = f if across is None else tuple(a + b for a, b in zip(f, across))
     # The laws before the sums: XLA would evaluate them again for every scatter.
-    f = jax.lax.optimization_barrier(tuple(along * e for e in pairs.e))
+    f = jax.lax.optimization_barrier(f)
     parts = (jax.lax.complex(f[0], f[1]), f[2]) if len(net[0]) == 2 else f
     add = lambda total, i, part: total.at[i].add(part, mode="drop", wrap_negative_indices=False)
     return tuple(tuple(add(t, i, p) for t, p in zip(totals, parts)) for totals, i in zip(net, (pairs.i, pairs.j)))
@@ -204,6 +283,29 @@ def net_force(net):
     parts = [first - second for first, second in zip(*net)]
     x, y, z = (parts[0].real, parts[0].imag, parts[1]) if len(parts) == 2 else parts
     return jnp.stack([x, y, z], axis=1)
+
+
+def torque_add(torque, beads: Beads, pairs: Pairs, across):
+    """Add ``arm x force`` of every pair to what turns its beads (m, 3).
+
+    The arms ``-R_i e`` and ``R_j e`` are those of the surface velocities, and the second bead feels the opposite force:
+    both get ``-R e x across``.
+    """
+    twist = jnp.stack(cross(pairs.e, across), axis=1)
+    m = torque.shape[0]
+    for slots, R in ((pairs.i, pairs.R_i), (pairs.j, pairs.R_j)):
+        row = slots - beads.turning_from
+        row = jnp.where((row >= 0) & (row < m), row, m)
+        torque = torque.at[row].add(-jnp.reshape(R, (-1, 1)) * twist, mode="drop", wrap_negative_indices=False)
+    return torque
+
+
+def sum_across(pairs: Pairs, across: dict) -> dict:
+    """The virials ``sum F_ij r_ij`` of forces perpendicular to ``e``, by origin."""
+    r = jnp.where(pairs.real, pairs.r, 0.0)
+    separation = jnp.stack([r * e for e in pairs.e])
+    product = lambda f: jnp.einsum("ap,bp->ab", jnp.stack(f), separation, precision=jax.lax.Precision.HIGHEST)
+    return {origin: product(f) for origin, f in across.items()}
 
 
 def sum_pairs(pairs: Pairs, energy, forces: dict):
@@ -222,15 +324,18 @@ def symmetric(upper):
 
 
 def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False):
-    """Total pair force on each bead (n, 3) at ``state.position`` and ``velocity``.
+    """Total pair force on each bead (n, 3) at ``state.position`` and ``velocity``, and what turns those that rotate (m, 3).
 
-    Noise is that of ``state.step``. Returns (force, Tally or None).
+    Noise is that of ``state.step``, angular velocities those of ``state.rotation``. Returns (force, torque or None, Tally or None).
     """
     force, sums = jnp.zeros_like(state.position), Tally.zero(state.position.dtype, fluid.origins)
+    torque = None if state.rotation is None else jnp.zeros_like(state.rotation.torque)
     beads = Beads.of(fluid, state, velocity)
     for channel, (interaction, neighbours) in enumerate(zip(fluid.interactions, state.neighbours)):
-        words = noise.step_words(key, state.step, channel)
-        f, t = interaction_force(fluid, interaction, state.box, beads, neighbours.list.idx, rate, words, dt, tally)
+        words = Words.of(key, state.step, channel, beads.id, not interaction.is_central)
+        idx = neighbours.list.idx
+        f, twist, t = interaction_force(fluid, interaction, state.box, beads, idx, rate, words, dt, tally)
         force = force + f
+        torque = torque if twist is None else torque + twist
         sums = sums.plus(t.energy, t.virial) if tally else None
-    return force, sums
+    return force, torque, sums

@@ -10,15 +10,24 @@ overflow can be replayed, a restart is exact, and the order of the beads is free
 import jax
 import jax.numpy as jnp
 
-PAIR_DOMAIN = 1
+PAIR_DOMAIN, VECTOR_DOMAIN = 1, 7
 """Folded into the key before the step: ``split(key)[i]`` equals ``fold_in(key, i)``."""
 
 
 def step_words(key, step, channel: int = 0):
     """Two uint32 words for one step and one interaction, from JAX's own generator."""
-    for word in (PAIR_DOMAIN, channel, step):
+    return _words(key, PAIR_DOMAIN, channel, step, 2)
+
+
+def vector_words(key, step, channel: int = 0):
+    """Three more, for noise with three components."""
+    return _words(key, VECTOR_DOMAIN, channel, step, 3)
+
+
+def _words(key, domain, channel, step, count):
+    for word in (domain, channel, step):
         key = jax.random.fold_in(key, word)
-    return jax.random.bits(key, (2,), jnp.uint32)
+    return jax.random.bits(key, (count,), jnp.uint32)
 
 
 def mix(x):
@@ -41,6 +50,15 @@ def pair_noise(words, a, b, dtype):
     top bits are centred, so that the mean is zero to the last bit. The sum of two words knows no
     order; and, unlike a sum that is linear in an id, two beads never share a stretch of it.
     """
-    x = mix((a + b) ^ words[1])
+    return _uniform(mix((a + b) ^ words[1]), dtype)
+
+
+def pair_vector(words, a, b, dtype):
+    """Three such numbers per pair, keyed by ``vector_words``: a vector that changes sign with the order of the beads."""
+    sign = jnp.where(a < b, dtype(1.0), dtype(-1.0))
+    return tuple(sign * _uniform(mix((a + b) ^ words[k]), dtype) for k in range(3))
+
+
+def _uniform(x, dtype):
     centred = (x >> 9).astype(dtype) + dtype(0.5 - 2.0**22)
     return centred * dtype(12.0**0.5 * 2.0**-23)

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
-from dpdjax.engine.state import masses
+from dpdjax.engine.state import inertias, masses
+from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
 
 
 def kinetic_pressure(fluid, state):
@@ -51,6 +52,21 @@ def temperature(fluid, state):
     """Kinetic temperature ``sum m c^2 / (3 n - 3)`` [energy]; three momenta are fixed."""
     twice = jnp.sum(masses(fluid, state)[:, None] * state.velocity**2)
     return twice / (3 * state.position.shape[0] - 3)
+
+
+def rotational_temperature(fluid, state):
+    """``sum I omega^2 / 3 m`` of the m beads that rotate [energy]; ValueError where none does."""
+    if state.rotation is None:
+        raise ValueError("no bead of this state rotates; give a species an inertia, dpd.fluid(..., inertia=...)")
+    return jnp.mean(inertias(fluid, state)[:, None] * state.rotation.velocity**2)
+
+
+def rotations(fluid, state) -> dict:
+    """Angular velocities, torques and orientations of the beads that rotate; ValueError where none does."""
+    if state.rotation is None:
+        raise ValueError("no bead of this state rotates; give a species an inertia, dpd.fluid(..., inertia=...)")
+    turning = state.rotation
+    return {"angular_velocity": turning.velocity, "torque": turning.torque, "orientation": turning.orientation}
 
 
 def momentum(fluid, state):
@@ -131,12 +147,16 @@ def configurational_temperature(fluid, state):
 def instantaneous_viscosity(fluid, state):
     """``sum zeta r^2 e_x^2 e_y^2 / V``: the part of the viscosity with no delay.
 
-    The mean over xy, xz and yz; the response of the drag stress to a sudden shear.
+    The mean over all off-diagonals; the response of the drag stress to a sudden shear. Across the line of centres
+    it is ``sum zeta r^2 e_y^2 (1 - e_x^2) / V``; spheres that rotate go on as they did.
     """
     total = 0.0
     for interaction, pairs in _geometries(fluid, state):
-        zeta = evaluate(interaction.drag, pairs, fluid.kT, derivative=False)
         x, y, z = (e * e for e in pairs.e)
+        squares = x * y + x * z + y * z
+        shares = {CENTRAL: squares, TRANSVERSE: 1.0 - squares, FULL: 1.0}
         r = jnp.where(pairs.real, pairs.r, 0.0)
-        total += jnp.sum(zeta * r * r * (x * y + x * z + y * z)) / 3.0
+        for t in interaction.drag:
+            zeta = evaluate([t], pairs, fluid.kT, derivative=False)
+            total += jnp.sum(zeta * r * r * shares[t.projector]) / 3.0
     return total / state.box.volume

@@ -28,7 +28,10 @@ def _sorted_parts(state: State) -> dict:
 
     A group of any list stays together, so beads are sorted within the parts that the groups have in common.
     """
-    edges = sorted({edge for n in state.neighbours for group in n.grid.groups for edge in group})
+    edges = {edge for n in state.neighbours for group in n.grid.groups for edge in group}
+    if state.rotation is not None:
+        edges |= {state.rotation.slots.start, state.rotation.slots.stop}
+    edges = sorted(edges)
     grids = [n.grid for n in state.neighbours if n.grid.cells is not None]
     covers = lambda grid, begin, end: any(a <= begin and end <= b for a, b in grid.groups)
     parts = {}
@@ -68,7 +71,10 @@ def permuted(state: State, order) -> State:
     slot = jnp.append(cells.inverse(order), state.n)
     neighbours = tuple(_renumbered(n, order, slot) for n in jax.lax.stop_gradient(state.neighbours))
     beads = {name: getattr(state, name)[order] for name in names}
-    return dataclasses.replace(state, **beads, neighbours=neighbours)
+    turning = state.rotation
+    if turning is not None:
+        turning = jax.tree.map(lambda rows: rows[order[turning.slots] - turning.begin], turning)
+    return dataclasses.replace(state, **beads, neighbours=neighbours, rotation=turning)
 
 
 def _renumbered(neighbours, order, slot):

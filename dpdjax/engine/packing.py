@@ -179,7 +179,9 @@ def _checked_gap(lengths, radius, gap) -> float:
             f"use a gap below {slack:.4g}, fewer spheres or a larger box"
         )
     contact = 2 * radius.max() + gap
-    if lengths.min() < 2 * contact:
+    if len(radius) == 1 and lengths.min() < contact:
+        raise ValueError(f"box side {lengths.min():.4g} is below {contact:.4g}: a sphere would meet its image; use a larger box")
+    if len(radius) > 1 and lengths.min() < 2 * contact:
         raise ValueError(
             f"box side {lengths.min():.4g} is below 2 (2 radius + gap) = {2 * contact:.4g}: a sphere would meet another and its "
             "image; use a larger box or smaller spheres"

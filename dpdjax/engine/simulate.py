@@ -103,7 +103,7 @@ def simulate(
         key: PRNG key; the noise of step s is a function of (key, s), s counted absolutely.
         dt: time step [time].
         plan: frames, and steps between two.
-        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(amplitude, frequency)``, ``dpd.body_force(...)`` or None.
+        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.body_force(...)``, ``dpd.drive(...)`` or None.
         observe: what to record: a function ``observe(fluid, state) -> dict``, or a list of
             such, each possibly wrapped in ``dpd.mean`` or ``dpd.integral``.
         lam: weight of the predicted velocity.
@@ -149,6 +149,8 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
         for r, s in zip(how, sums):
             values |= r.value(fluid, view, s, dt, plan.every)
         broken = ~jnp.all(jnp.isfinite(state.velocity))
+        if state.rotation is not None:
+            broken |= ~jnp.all(jnp.isfinite(state.rotation.velocity))
         return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
 
     state = started(fluid, state, key, dt, flow)
@@ -208,7 +210,8 @@ def check_run(fluid, state, key, dt, flow):
     if not isinstance(state, State):
         raise TypeError(f"state is a {type(state).__name__}; build one with dpd.initial_state(...)")
     if flow is not None and not hasattr(flow, "force"):
-        raise TypeError(f"flow is {flow!r}; give dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...) or None")
+        flows_there_are = "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
+        raise TypeError(f"flow is {flow!r}; give {flows_there_are} or None")
     prng_key(key)
     positive(dt, "dt")
     shape = jnp.shape(state.position)
@@ -230,8 +233,37 @@ def check_run(fluid, state, key, dt, flow):
             f"the state keeps stresses as {', '.join(state.tally.virial)}, the fluid as {', '.join(fluid.origins)}: "
             "make the state with this fluid"
         )
+    check_rotation(fluid, state)
+    check_drive(flow, state)
     check_dt(fluid, state, dt)
     check_period(flow, state)
+
+
+def check_rotation(fluid, state):
+    """Refuse a state whose beads rotate otherwise than those of the fluid."""
+    has = state.rotation is not None
+    if has != bool(fluid.rotating):
+        turns = lambda yes: "rotate" if yes else "do not"
+        what = f"beads of the fluid {turns(fluid.rotating)} and those of the state {turns(has)}"
+        raise ValueError(f"{what}: make the state with this fluid")
+    if has and is_concrete(state.species):
+        turning = np.isin(np.asarray(state.species), fluid.rotating)
+        if not np.all(turning[state.rotation.slots]) or turning.sum() != state.rotation.m:
+            raise ValueError("the beads of the state that rotate are of other species: make the state with this fluid")
+
+
+def check_drive(flow, state):
+    """Refuse a drive of beads that are not there, or a torque on what does not rotate."""
+    if not isinstance(flow, flows.Drive) or not is_concrete(flow, state.species):
+        return
+    there = np.asarray(state.species)
+    if flow.species not in there:
+        raise ValueError(f"no bead is of the driven species {flow.species}; name another: dpd.drive(..., species=...)")
+    if flow.reaction == "others" and np.all(there == flow.species):
+        raise ValueError('all beads are driven, and reaction="others" has none to act on; use reaction="all"')
+    turning = () if state.rotation is None else there[state.rotation.slots]
+    if np.any(np.asarray(flow.twist)) and flow.species not in turning:
+        raise ValueError(f"beads of species {flow.species} do not rotate, and a torque is given: give them an inertia")
 
 
 def check_period(flow, state):

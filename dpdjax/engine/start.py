@@ -9,10 +9,11 @@ from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt, suggest_skins
+from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
 from dpdjax.model.fluid import Fluid
 
-POSITION_DOMAIN, VELOCITY_DOMAIN = 2, 3
+POSITION_DOMAIN, VELOCITY_DOMAIN, SPIN_DOMAIN = 2, 3, 8
 """Folded into the user's key, so that one key serves start and noise."""
 CLUSTERING = 2.0
 """Room in the lists of colloids, which gather."""
@@ -91,7 +92,18 @@ def placed(fluid: Fluid, key, box: boxes.Box, position, counts, *, size=None, sk
     grids = _grids(fluid, lengths, counts, fluid.reaches(largest), skins, sheared)
     species, size = jnp.asarray(species, jnp.int32), jnp.asarray(size, box.lengths.dtype)
     velocity = _velocities(key, fluid.mass[species] * size**3, fluid.kT)
-    return assemble(box, position, velocity, species, grids, size, fluid.origins)
+    rotation = _rotation(fluid, key, counts, size) if fluid.rotating else None
+    return assemble(box, position, velocity, species, grids, size, fluid.origins, rotation)
+
+
+def _rotation(fluid, key, counts, size) -> Rotation:
+    """Maxwell angular velocities for the species that rotate."""
+    edges = np.concatenate([[0], np.cumsum(counts)])
+    begin, end = int(edges[fluid.rotating[0]]), int(edges[fluid.rotating[-1] + 1])
+    of_species = jnp.stack([fluid.inertia[k] for k in fluid.rotating])
+    inertia = jnp.repeat(of_species, np.asarray([counts[k] for k in fluid.rotating])) * size[begin:end] ** 5
+    draw = jax.random.normal(jax.random.fold_in(key, SPIN_DOMAIN), (end - begin, 3), dtype=inertia.dtype)
+    return Rotation.of(draw * jnp.sqrt(fluid.kT / inertia)[:, None], begin)
 
 
 def _grids(fluid, lengths, counts, reaches, skins, sheared) -> tuple[lists.Grid, ...]:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine.batching import each_member
+from dpdjax.engine.rotation import Rotation
 from dpdjax.model.fluid import ORIGINS, Fluid
 
 
@@ -20,7 +21,8 @@ class Tally:
 
     Attributes:
         energy: potential energy [energy].
-        virial: sum of ``r_ij F_ij`` by origin, (3, 3) each [energy].
+        virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first axis, the separation
+            along the second. Symmetric where all forces are central.
     """
 
     energy: Any
@@ -54,6 +56,7 @@ class State:
         time_rest: what rounding has left out of ``time``.
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
+        rotation: of the beads that rotate, or None.
         started: whether ``force`` is known; if not, a run computes it first.
         status: sticky bits (``dpdjax.engine.status``).
     """
@@ -73,6 +76,7 @@ class State:
     tally: Tally
     started: Any
     status: Any
+    rotation: Rotation | None = None
 
     @property
     def n(self) -> int:
@@ -100,14 +104,28 @@ def radii(fluid: Fluid, state: State):
     return of_species[state.species] * state.size
 
 
+def inertias(fluid: Fluid, state: State):
+    """Moment of inertia of each bead that rotates (m,) [mass length^2]; goes as the fifth power of its size."""
+    of_species = jnp.stack([jnp.ones((), state.size.dtype) if x is None else x for x in fluid.inertia])
+    slots = state.rotation.slots
+    return of_species[state.species[slots]] * state.size[slots] ** 5
+
+
 # One program: operation by operation, a first list takes seconds to compile.
 @functools.partial(jax.jit, static_argnames=("grids", "origins"))
 def assemble(
-    box: boxes.Box, position, velocity, species, grids: tuple[lists.Grid, ...], size=None, origins: tuple[str, ...] = ORIGINS
+    box: boxes.Box,
+    position,
+    velocity,
+    species,
+    grids: tuple[lists.Grid, ...],
+    size=None,
+    origins: tuple[str, ...] = ORIGINS,
+    rotation: Rotation | None = None,
 ) -> State:
     """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,), relative sizes (n,).
 
-    ``origins``: names under which the fluid keeps stresses.
+    ``origins``: names under which the fluid keeps stresses; ``rotation``: that of the beads that rotate.
     """
     n = position.shape[0]
     position, _ = boxes.wrap(box, position)
@@ -128,6 +146,7 @@ def assemble(
         tally=Tally.zero(position.dtype, origins),
         started=jnp.asarray(False),
         status=jnp.zeros((), jnp.uint32),
+        rotation=rotation,
     )
 
 

@@ -10,15 +10,17 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine.batching import any_in_batch
 from dpdjax.engine.forces import pair_force
-from dpdjax.engine.state import State, masses
+from dpdjax.engine.rotation import turned
+from dpdjax.engine.state import State, inertias, masses
 
 
 def total_force(fluid, state: State, velocity, key, dt, flow, tally):
-    """Pair and body forces at the state's positions, with drag from ``velocity``."""
+    """Pair and body forces at the state's positions, with drag from ``velocity``: force, torque or None, sums over pairs."""
     with jax.named_scope("forces"):
-        force, sums = pair_force(fluid, state, velocity, flow.rate_at(state.time), key, dt, tally)
-        body = flow.force(state, masses(fluid, state)[:, None])
-    return (force if body is None else force + body), (sums if tally else state.tally)
+        force, torque, sums = pair_force(fluid, state, velocity, flow.rate_at(state.time), key, dt, tally)
+        body, twist = flow.force(state, masses(fluid, state)[:, None]), flow.torque(state)
+    force, torque = (f if extra is None else f + extra for f, extra in ((force, body), (torque, twist)))
+    return force, torque, (sums if tally else state.tally)
 
 
 def started(fluid, state: State, key, dt, flow) -> State:
@@ -26,8 +28,9 @@ def started(fluid, state: State, key, dt, flow) -> State:
 
     def compute(state):
         updated = update_lists(state)
-        force, sums = total_force(fluid, updated, updated.velocity, key, dt, flow, True)
-        new = dataclasses.replace(updated, force=force, tally=sums, started=jnp.ones_like(state.started))
+        force, torque, sums = total_force(fluid, updated, updated.velocity, key, dt, flow, True)
+        turning = updated.rotation and dataclasses.replace(updated.rotation, torque=torque)
+        new = dataclasses.replace(updated, force=force, rotation=turning, tally=sums, started=jnp.ones_like(state.started))
         return jax.tree.map(lambda old, new: jnp.where(state.started, old, new), state, new)
 
     # In a batch all compute as soon as one must: a branch of its own for each would be no branch.
@@ -51,6 +54,7 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     | v~ = v + lambda dt f / m            | ``predicted``                          |
     | f' = F(r, v~), noise of step + 1    | ``total_force``                        |
     | v += dt (f + f') / 2m               | ``velocity``                           |
+    | the same for angles, with I for m   | ``turning``, ``rotating``, ``rotated`` |
 
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar
     velocity loses ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no
@@ -69,9 +73,26 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     moved = dataclasses.replace(state, position=position, image=state.image + crossed, box=box, step=state.step + 1)
     moved = update_lists(_later(moved, dt))
     predicted = carried + lam * kick
-    force, sums = total_force(fluid, moved, predicted, key, dt, flow, tally)
+    moved, twist = (moved, None) if state.rotation is None else turning(fluid, moved, dt, lam)
+    force, torque, sums = total_force(fluid, moved, predicted, key, dt, flow, tally)
     velocity = carried + 0.5 * (kick + dt * force / mass)
-    return dataclasses.replace(moved, velocity=velocity, force=force, tally=sums)
+    rotation = None if twist is None else rotated(fluid, state, moved, twist, torque, dt)
+    return dataclasses.replace(moved, velocity=velocity, force=force, tally=sums, rotation=rotation)
+
+
+def turning(fluid, state: State, dt, lam):
+    """The state with its spheres turned and their predicted angular velocity, and the kick ``dt T / I`` of the old torque."""
+    old = state.rotation
+    twist = dt * old.torque / inertias(fluid, state)[:, None]
+    orientation = turned(old.orientation, dt * (old.velocity + 0.5 * twist))
+    new = dataclasses.replace(old, orientation=orientation, velocity=old.velocity + lam * twist)
+    return dataclasses.replace(state, rotation=new), twist
+
+
+def rotated(fluid, before: State, moved: State, twist, torque, dt):
+    """The rotation at the end of a step, from that before it."""
+    velocity = before.rotation.velocity + 0.5 * (twist + dt * torque / inertias(fluid, moved)[:, None])
+    return dataclasses.replace(moved.rotation, velocity=velocity, torque=torque)
 
 
 def _later(state: State, dt) -> State:

@@ -10,9 +10,11 @@ import numpy as np
 
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine.box import Box
+from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, Tally
 
-FORMAT = 3
+FORMAT = 4
+TURNING = ("velocity", "torque", "orientation")
 ARRAYS = ("position", "velocity", "force", "image", "id", "species", "size", "step", "time", "time_rest", "started", "status")
 
 
@@ -32,9 +34,12 @@ def save_state(path, state: State) -> None:
             f"list{k}_code": np.asarray(n.list.error.code),
             f"list{k}_strain": np.asarray(n.strain),
         }
+    if state.rotation is not None:
+        arrays |= {f"rotation_{name}": np.asarray(getattr(state.rotation, name)) for name in TURNING}
     grids = [dataclasses.asdict(n.grid) for n in state.neighbours]
     with open(path, "wb") as file:
         meta = {"format": FORMAT, "grids": grids, "origins": list(state.tally.virial)}
+        meta |= {"turning_from": None if state.rotation is None else state.rotation.begin}
         np.savez_compressed(file, meta=json.dumps(meta), **arrays)
 
 
@@ -65,7 +70,12 @@ def _assembled(saved, meta) -> State:
         box=Box(saved["box_lengths"], saved["box_strain"]),
         neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(meta["grids"])),
         tally=Tally(saved["tally_energy"], {origin: saved[f"tally_virial_{origin}"] for origin in meta["origins"]}),
+        rotation=_rotation(saved, meta["turning_from"]),
     )
+
+
+def _rotation(saved, begin) -> Rotation | None:
+    return None if begin is None else Rotation(*(saved[f"rotation_{name}"] for name in TURNING), begin)
 
 
 def _list(saved, k, fields):

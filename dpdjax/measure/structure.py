@@ -126,22 +126,24 @@ def _configurations(trajectory, box):
     return position, boxes.Box(lengths, np.broadcast_to(np.ravel(box.strain), (batch,)))
 
 
-def recorded(trajectory, name: str, *, sheared: bool = False) -> np.ndarray:
+def recorded(trajectory, name: str, *, sheared: bool = False, observe: str = "dpd.positions", components: int = 3) -> np.ndarray:
     """A vector of every bead that was recorded, (batch, frames, beads, 3); the batch is 1 where there is none.
+
+    ``observe``: what records it, for the message; ``components``: of the vector.
 
     Raises ValueError where the run did not record ``name``, failed, or was sheared, unless such a one will do.
     """
     if not sheared and np.any(np.asarray(trajectory.flow.rate) != 0):
         raise ValueError("the run was sheared: its box changes from frame to frame; measure this without shear")
     if name not in trajectory.frames:
-        raise ValueError(f"the run recorded no {name!r} but {', '.join(trajectory.frames)}; use observe=dpd.positions")
-    return as_frames(trajectory.frames[name], name)
+        raise ValueError(f"the run recorded no {name!r} but {', '.join(trajectory.frames)}; use observe={observe}")
+    return as_frames(trajectory.frames[name], name, components)
 
 
-def as_frames(values, name: str) -> np.ndarray:
+def as_frames(values, name: str, components: int = 3) -> np.ndarray:
     """(n, 3), (frames, n, 3) or (..., frames, n, 3) as (batch, frames, n, 3); ValueError unless finite."""
     values = np.asarray(values)
-    if values.ndim < 2 or values.shape[-1] != 3 or values.size == 0:
+    if values.ndim < 2 or values.shape[-1] != components or values.size == 0:
         raise ValueError(f"{name} has shape {values.shape}; (n, 3), (frames, n, 3) or (batch, frames, n, 3) is wanted")
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{name} holds NaN or infinity: the run failed, see trajectory.final.status")

@@ -78,7 +78,7 @@ def mean_squared_displacement(trajectory, *, species: int | None = None, t_max: 
     Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a sheared or failed run, one without
     positions, a species that is not there, a ``t_max`` outside the run.
     """
-    time, curves = _curves(trajectory, "unwrapped", _squared_displacement, species, t_max)
+    time, curves = correlated(trajectory, *_of_species(trajectory, "unwrapped", species), squared_displacement, t_max)
     return MeanSquaredDisplacement(time, curves.mean(axis=0), standard_error(curves))
 
 
@@ -87,7 +87,7 @@ def velocity_autocorrelation(trajectory, *, species: int | None = None, t_max: f
 
     Arguments and errors as in :func:`mean_squared_displacement`; returns a :class:`VelocityAutocorrelation`.
     """
-    time, curves = _curves(trajectory, "velocity", _autocorrelation, species, t_max)
+    time, curves = correlated(trajectory, *_of_species(trajectory, "velocity", species), autocorrelation, t_max)
     return VelocityAutocorrelation(time, curves.mean(axis=0), standard_error(curves))
 
 
@@ -113,18 +113,23 @@ def diffusion(
     Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves fewer than 4
     independent pieces, and as :func:`mean_squared_displacement` does.
     """
-    readings = {"msd": ("unwrapped", _squared_displacement, _slope), "vacf": ("velocity", _autocorrelation, _integral)}
+    readings = {"msd": ("unwrapped", squared_displacement, einstein), "vacf": ("velocity", autocorrelation, green_kubo_integral)}
     if method not in readings:
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
     name, correlate, read = readings[method]
-    time, curves = _curves(trajectory, name, correlate, species, None if fit is None else fit[1])
+    return read_diffusion(trajectory, *_of_species(trajectory, name, species), correlate, read, fit)
+
+
+def read_diffusion(trajectory, members, shape, correlate, read, fit: tuple[float, float] | None) -> Estimate:
+    """A diffusion coefficient from what ``correlate`` makes of each member, by ``read`` over ``fit``; see :func:`correlated`."""
+    time, curves = correlated(trajectory, members, shape, correlate, None if fit is None else fit[1])
     window = _window(time, (0.5 * time[-1], time[-1]) if fit is None else fit)
     if len(curves) < 4:
         raise ValueError(
             f"{len(curves)} independent pieces give no error bar; run 8 times as long as the last lag "
             f"of the fit, {time[-1]:.4g}, or several replicas"
         )
-    if method == "msd":
+    if read is einstein:
         _check_straight(time, curves, window)
     return from_replicas(read(time, curves, window))
 
@@ -134,22 +139,22 @@ def _check_straight(time, curves, window):
     lags = np.flatnonzero(window)
     if len(lags) < 4:
         return
-    early, late = (_slope(time, curves, half) for half in np.array_split(lags, 2))
+    early, late = (einstein(time, curves, half) for half in np.array_split(lags, 2))
     change = late - early
     if change.mean() > max(0.1 * early.mean(), 3 * change.std(ddof=1) / np.sqrt(len(change))):
         warnings.warn(
             f"the mean squared displacement is not yet straight between {time[lags[0]]:.4g} and {time[lags[-1]]:.4g}: its slope "
             f"grows by {change.mean() / early.mean():.0%} within, so D is too small; run longer, or fit later lags, fit=(...)",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
-def _slope(time, curves, window):
+def einstein(time, curves, window):
     """A sixth of the least-squares slope of each curve."""
     return np.polyfit(time[window], curves[:, window].T, 1)[0] / 6.0
 
 
-def _integral(time, curves, window):
+def green_kubo_integral(time, curves, window):
     """A third of the running integral of each curve, averaged over the window."""
     steps = 0.5 * (curves[:, 1:] + curves[:, :-1]) * np.diff(time)[None, :]
     running = np.concatenate([np.zeros_like(curves[:, :1]), np.cumsum(steps, axis=1)], axis=1)
@@ -167,18 +172,16 @@ def _window(time, fit):
     return window
 
 
-def _curves(trajectory, name, correlate, species, t_max):
-    """Lags (lags,) and one curve for each independent piece (pieces, lags)."""
-    values = recorded(trajectory, name)
-    batch, frames = values.shape[:2]
+def correlated(trajectory, members, shape, correlate, t_max):
+    """Lags (lags,) and one curve for each independent piece (pieces, lags).
+
+    ``members``: an iterable of values (frames, beads, 3), ``shape`` that of all of them.
+    """
+    batch, frames = shape[:2]
     interval = _interval(trajectory)
     longest = _longest_lag(frames, batch, interval, t_max)
     each = pieces_of_member(batch, frames, longest)
-    curves = [
-        correlate(piece, longest)
-        for member in _of_species(trajectory, values, species)
-        for piece in np.split(member[: frames // each * each], each)
-    ]
+    curves = [correlate(piece, longest) for member in members for piece in np.split(member[: frames // each * each], each)]
     return interval * np.arange(longest + 1), np.array(curves)
 
 
@@ -203,8 +206,14 @@ def _interval(trajectory) -> float:
     return float(intervals[0])
 
 
-def _of_species(trajectory, values, species):
-    """Member by member the values (frames, beads, 3) of a species, relative to the centre of mass if all are there."""
+def _of_species(trajectory, name: str, species):
+    """Of each member the recorded values (frames, beads, 3) of a species, and the shape of all; see :func:`_relative`."""
+    values = recorded(trajectory, name)
+    return _relative(trajectory, values, species), values.shape
+
+
+def _relative(trajectory, values, species):
+    """Member by member, relative to the centre of mass if all beads are there."""
     beads = chosen_beads(trajectory, species)
     if values.shape[2] < len(species_of(trajectory)):
         yield from of_beads(values, trajectory, beads).astype(float)
@@ -242,11 +251,11 @@ def _products(values, longest: int):
     return np.fft.irfft(spectrum, frames)[: longest + 1] / (n * (frames - longest))
 
 
-def _autocorrelation(velocity, longest: int):
+def autocorrelation(velocity, longest: int):
     return _products(velocity, longest)
 
 
-def _squared_displacement(position, longest: int):
+def squared_displacement(position, longest: int):
     """``<x(t)^2> + <x(0)^2> - 2 <x(t) . x(0)>`` over the origins common to all lags, (longest + 1,)."""
     # Only displacements count: start at the origin, where the difference of squares loses least.
     position = position - position[:1]

@@ -256,14 +256,17 @@ def _constants(trajectory):
 
 
 def _traceless(tensors):
-    """Symmetric traceless parts as 9 numbers, scaled so that their products sum to one P_xy P_xy.
+    """Symmetric traceless and antisymmetric parts as 18 numbers, scaled so that their products sum to one P_xy P_xy.
 
-    Isotropy makes the sum over all nine products ten times the product of one off-diagonal.
+    By isotropy P_xy P_xy is a tenth of the sum over all nine products of the former, and a sixth of that of the latter,
+    which is there where drag acts across the line of centres.
     """
     tensors = np.asarray(tensors, float)
-    symmetric = 0.5 * (tensors + np.swapaxes(tensors, -1, -2))
+    swapped = np.swapaxes(tensors, -1, -2)
+    symmetric, odd = 0.5 * (tensors + swapped), 0.5 * (tensors - swapped)
     trace = np.trace(symmetric, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) / 3
-    flat = (symmetric - trace).reshape(*tensors.shape[:-2], 9) / math.sqrt(10.0)
+    parts = [(symmetric - trace) / math.sqrt(10.0)] + ([odd / math.sqrt(6.0)] if np.any(odd) else [])
+    flat = np.concatenate([p.reshape(*tensors.shape[:-2], 9) for p in parts], axis=-1)
     return flat if flat.ndim == 3 else flat[None]
 
 

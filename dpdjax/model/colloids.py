@@ -108,7 +108,7 @@ def pure_solvent(fluid: Fluid) -> Fluid:
     """
     for among in fluid.interactions:
         if among.groups == ((SOLVENT,), (SOLVENT,)):
-            return Fluid((among,), fluid.kT, fluid.mass[..., :1], fluid.radius[:1])
+            return Fluid((among,), fluid.kT, fluid.mass[..., :1], fluid.radius[:1], fluid.inertia[:1])
     raise ValueError("no interaction of the first species with itself; it is no solvent")
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import not_negative, number, positive
-from dpdjax.model.term import Term, check_table, replace_coefficients, several
+from dpdjax.model.term import CENTRAL, Term, check_table, replace_coefficients, several
 
 ORIGINS = ("conservative", "drag", "random")
 """Where stress comes from, unless a term has a name of its own for it."""
@@ -36,6 +36,11 @@ class Interaction:
     def terms(self) -> tuple[Term, ...]:
         return self.conservative + self.drag + (self.random or ())
 
+    @property
+    def is_central(self) -> bool:
+        """Whether all forces act along the line of centres (static)."""
+        return all(t.projector == CENTRAL for t in self.drag + (self.random or ()))
+
     def map_terms(self, function) -> "Interaction":
         """The same interaction with ``function(term)`` in place of every term."""
         each = lambda terms: None if terms is None else tuple(function(t) for t in terms)
@@ -58,12 +63,14 @@ class Fluid:
         kT: thermal energy [energy].
         mass: mass of each species, shape (species,) [mass].
         radius: of each species its radius [length], or None for points.
+        inertia: of each species its moment of inertia [mass length^2], or None where it does not rotate.
     """
 
     interactions: tuple[Interaction, ...]
     kT: Any
     mass: Any
     radius: tuple[Any, ...]
+    inertia: tuple[Any, ...]
 
     @property
     def species(self) -> int:
@@ -72,6 +79,11 @@ class Fluid:
     @property
     def has_radii(self) -> bool:
         return any(r is not None for r in self.radius)
+
+    @property
+    def rotating(self) -> tuple[int, ...]:
+        """Species that rotate."""
+        return tuple(k for k, inertia in enumerate(self.inertia) if inertia is not None)
 
     def reaches(self, largest=None) -> tuple[float, ...]:
         """Largest centre distance at which each interaction acts [length]; needs concrete numbers.
@@ -108,9 +120,11 @@ class Fluid:
         return found
 
     def value(self, name: str):
-        """The number called ``name``: ``kT``, ``mass`` or a coefficient."""
+        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or a coefficient."""
         if name in ("kT", "mass"):
             return getattr(self, name)
+        if name == "inertia" and self.rotating:
+            return self.inertia[self.rotating[0]] if len(self.rotating) == 1 else self.inertia
         if name not in self.coefficients:
             raise TypeError(_unknown(name, self))
         return self.coefficients[name]
@@ -126,9 +140,9 @@ class Fluid:
             return dataclasses.replace(t, coefficients=coefficients, cut=None)
 
         one_more = lambda value, least: 0 if jnp.ndim(value) == least + 1 else None
-        radius = tuple(None if r is None else one_more(r, 0) for r in self.radius)
+        of_each = lambda values: tuple(None if x is None else one_more(x, 0) for x in values)
         interactions = tuple(i.map_terms(axes) for i in self.interactions)
-        return Fluid(interactions, one_more(self.kT, 0), one_more(self.mass, 1), radius)
+        return Fluid(interactions, one_more(self.kT, 0), one_more(self.mass, 1), of_each(self.radius), of_each(self.inertia))
 
     @property
     def is_batch(self) -> bool:
@@ -138,9 +152,9 @@ class Fluid:
     def set(self, *, between=None, **numbers) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
-        ``between``: the two species (or groups of species) whose terms alone take them. ``kT`` and ``mass``
-        are set the same way, of the whole fluid. Raises TypeError for a name that no term knows, ValueError
-        for a value that no fluid can have.
+        ``between``: the two species (or groups of species) whose terms alone take them. ``kT``, ``mass`` and ``inertia``
+        are set the same way, of the whole fluid; ``inertia`` of all species that rotate. Raises TypeError for a name that
+        no term knows, ValueError for a value that no fluid can have.
         """
         groups = None if between is None else _groups(between)
         chosen = [i for i in self.interactions if groups in (None, i.groups)]
@@ -150,15 +164,21 @@ class Fluid:
         for name in numbers:
             if name not in known and between is not None:
                 raise TypeError(f"no term between {between} has {name!r}; they have {', '.join(sorted(known))}")
-            if name not in known and name not in ("kT", "mass"):
+            if name not in known and name not in self._own_numbers:
                 raise TypeError(_unknown(name, self))
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
+        turned = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
+        inertia = tuple(old if old is None or turned is None else turned for old in self.inertia)
         _check_coefficients(numbers)
         for name, value in numbers.items():
             check_table(name, number(value, name), self.species)
         changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if groups in (None, i.groups) else i
-        return Fluid(tuple(map(changed, self.interactions)), kT, mass, self.radius)
+        return Fluid(tuple(map(changed, self.interactions)), kT, mass, self.radius, inertia)
+
+    @property
+    def _own_numbers(self) -> tuple[str, ...]:
+        return ("kT", "mass", "inertia") if self.rotating else ("kT", "mass")
 
 
 def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term] = (), random=None) -> Interaction:
@@ -177,6 +197,9 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
     parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
     for t in parts[0] + parts[1] + parts[2]:
         _check_coefficients(t.coefficients)
+    for t in parts[0]:
+        if t.projector != CENTRAL:
+            raise ValueError(f"{t.law.__name__} is {t.projector}, and the force of a potential is central: give it as a drag")
     if not parts[0] + parts[1]:
         raise ValueError("a fluid without terms does nothing; give conservative=[...] or drag=[...]")
     return Interaction(parts[0], parts[1], None if random is None else parts[2], _groups(between))
@@ -189,6 +212,7 @@ def fluid(
     kT,
     mass=1.0,
     radius=None,
+    inertia=None,
     species: int | None = None,
     interactions: Sequence[Interaction] = (),
 ) -> Fluid:
@@ -200,13 +224,15 @@ def fluid(
         kT: thermal energy [energy], zero or above.
         mass: bead mass, a number or one for each species [mass].
         radius: of each species, None for points [length]; laws see the gap between the surfaces.
+        inertia: of each species its moment of inertia [mass length^2], None where it does not rotate. What rotates has
+            a radius; frictions that are not central turn it.
         species: how many; read off the tables, ``mass`` and ``radius`` where not given.
         interactions: of several groups, each with its own terms and its own list of neighbours, in place
             of ``conservative`` and ``drag``; from :func:`interaction`.
 
     Raises:
-        ValueError: negative ``kT`` or ``gamma``, mass or radius not above zero, tables of
-            different size, groups that overlap in part, no term at all.
+        ValueError: negative ``kT`` or ``gamma``, mass, radius or inertia not above zero, tables of
+            different size, groups that overlap in part, no term at all, points that rotate.
         TypeError: something that is not a term.
     """
     interactions = tuple(interactions)
@@ -217,12 +243,14 @@ def fluid(
         alone = interaction((0, 0), conservative, drag)
         terms = alone.terms
     groups = [k for i in interactions for group in i.groups for k in group]
-    count = _count_species(terms, mass, radius, species, groups)
+    count = _count_species(terms, mass, radius, inertia, species, groups)
     if not interactions:
         everything = tuple(range(count))
         interactions = (dataclasses.replace(alone, groups=(everything, everything)),)
     _check_groups(interactions)
-    return Fluid(interactions, not_negative(kT, "kT"), _masses(mass, count), _radii(radius, count))
+    radius, inertia = _of_each(radius, count, "radius"), _of_each(inertia, count, "inertia")
+    _check_rotation(radius, inertia)
+    return Fluid(interactions, not_negative(kT, "kT"), _masses(mass, count), radius, inertia)
 
 
 def _groups(between) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -250,9 +278,9 @@ def _check_groups(interactions):
 
 
 def _check_coefficients(coefficients):
-    for name in {"gamma", "eta_0"} & set(coefficients):
+    for name in {"gamma", "gamma_t", "gamma_cs", "eta_0"} & set(coefficients):
         not_negative(coefficients[name], name)
-    for name in {"r_c", "delta", "Delta", "kappa"} & set(coefficients):
+    for name in {"r_c", "delta", "Delta", "kappa", "sigma"} & set(coefficients):
         positive(coefficients[name], name)
 
 
@@ -263,18 +291,28 @@ def _masses(mass, species):
     return jnp.broadcast_to(mass, (species,))
 
 
-def _radii(radius, species) -> tuple:
-    """Of each species None or its radius."""
-    each = tuple(radius) if isinstance(radius, (tuple, list)) else (radius,) * species
-    return tuple(None if r is None else positive(r, "radius") for r in each)
+def _of_each(values, species, name) -> tuple:
+    """Of each species None or its number."""
+    each = tuple(values) if isinstance(values, (tuple, list)) else (values,) * species
+    return tuple(None if x is None else positive(x, name) for x in each)
 
 
-def _count_species(terms, mass, radius, species, groups):
+def _check_rotation(radius, inertia):
+    turning = [k for k, x in enumerate(inertia) if x is not None]
+    if turning and turning != list(range(turning[0], turning[-1] + 1)):
+        raise ValueError(f"the species {turning} rotate; give inertia to species that follow one another")
+    for k in turning:
+        if radius[k] is None:
+            raise ValueError(f"species {k} has an inertia and no radius: a point does not rotate; give it a radius")
+
+
+def _count_species(terms, mass, radius, inertia, species, groups):
     sizes = {value.shape[0]: name for t in terms for name, value in t.coefficients.items() if value.ndim == 2}
     if np.ndim(mass) == 1:
         sizes.setdefault(np.shape(mass)[0], "mass")
-    if isinstance(radius, (tuple, list)):
-        sizes.setdefault(len(radius), "radius")
+    for name, values in (("radius", radius), ("inertia", inertia)):
+        if isinstance(values, (tuple, list)):
+            sizes.setdefault(len(values), name)
     if groups:
         sizes.setdefault(max(groups) + 1, "the interactions")
     if species is not None:
@@ -285,4 +323,4 @@ def _count_species(terms, mass, radius, species, groups):
 
 
 def _unknown(name, fluid):
-    return f"no term of this fluid has {name!r}; it has kT, mass, {', '.join(sorted(fluid.coefficients))}"
+    return f"no term of this fluid has {name!r}; it has {', '.join((*fluid._own_numbers, *sorted(fluid.coefficients)))}"

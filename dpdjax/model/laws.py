@@ -10,6 +10,8 @@ For point beads the gap is the centre distance.
 
 import jax.numpy as jnp
 
+from dpdjax.model.term import TRANSVERSE, projected
+
 
 def soft_repulsion(h, *, a, r_c):
     """Soft repulsion of Groot & Warren (1997, eq. 4): the force is ``a (1 - h/r_c)``.
@@ -38,3 +40,12 @@ def power_drag(h, *, gamma, r_c, s):
     w = jnp.maximum(1.0 - h / r_c, 0.0)
     inside = w > 0.0
     return gamma * jnp.where(inside, jnp.where(inside, w, 1.0) ** s, 0.0)
+
+
+@projected(TRANSVERSE)
+def transverse_drag(h, *, gamma_t, r_c):
+    """Friction ``gamma_t (1 - h/r_c)**2`` across the line of centres (Junghans, Praprotnik & Kremer 2008, eqs. 3 and 4).
+
+    Raises viscosity and Schmidt number of a solvent; keeps momentum, not angular momentum. ``gamma_t`` [mass / time].
+    """
+    return gamma_t * (1.0 - h / r_c) ** 2

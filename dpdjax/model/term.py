@@ -15,6 +15,9 @@ GIVEN = ("R_i", "R_j", "kT")
 """What a law may ask for by name without being given it: the radii of the two beads, the thermal energy."""
 RESERVED = ("kinetic", "conservative", "drag", "random", "tensor")
 """Names of stresses that no term may take for its own."""
+CENTRAL, TRANSVERSE, FULL = "central", "transverse", "full"
+PROJECTORS = (CENTRAL, TRANSVERSE, FULL)
+"""What part of the relative velocity of two surfaces a friction acts on: along the line of centres, across it, all of it."""
 
 
 def reaches(function: Callable):
@@ -22,6 +25,18 @@ def reaches(function: Callable):
 
     def declared(law):
         law.reach = function
+        return law
+
+    return declared
+
+
+def projected(projector: str):
+    """A decorator that says which part of the relative velocity a friction acts on, one of ``PROJECTORS``."""
+
+    _known_projector(projector)
+
+    def declared(law):
+        law.projector = projector
         return law
 
     return declared
@@ -38,6 +53,7 @@ class Term:
         cut: gap beyond which the law is zero, where that is a number of its own (leaf).
         reach: function of the coefficients and of what is given, where it is computed (static).
         origin: name under which its stress is kept, where that is not its kind (static).
+        projector: of a friction, the part of the relative velocity it acts on (static).
     """
 
     law: Callable = dataclasses.field(metadata={"static": True})
@@ -45,6 +61,7 @@ class Term:
     cut: Any = None
     reach: Callable | None = dataclasses.field(default=None, metadata={"static": True})
     origin: str | None = dataclasses.field(default=None, metadata={"static": True})
+    projector: str = dataclasses.field(default=CENTRAL, metadata={"static": True})
 
     def between(self, table_of=lambda c: c, **given):
         """The law as a function of the gap, and its reach; ``table_of`` looks tables up, ``given`` is of ``GIVEN``."""
@@ -55,7 +72,7 @@ class Term:
         return call(self.law), numbers["r_c"] if self.reach is None else call(self.reach)()
 
 
-def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients) -> Term:
+def term(law: Callable, *, reach=None, origin: str | None = None, projector: str | None = None, **coefficients) -> Term:
     """Bind a pair law to its coefficients.
 
     Args:
@@ -66,11 +83,14 @@ def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients
             default what the law declares with ``dpd.reaches``, else its coefficient ``r_c``. A potential
             is shifted to be zero there.
         origin: name under which the stress of this term is kept, by default ``"conservative"`` or ``"drag"``.
+        projector: the part of the relative velocity of the two *surfaces* that a friction acts on: ``"central"``,
+            along the line of centres; ``"transverse"``, across it, which turns beads that can rotate; ``"full"``, all of
+            it. By default what the law declares with ``dpd.projected``, else ``"central"``.
         **coefficients: a scalar or a symmetric (species, species) table each.
 
     Raises:
         TypeError: a coefficient the law does not know, or one it lacks.
-        ValueError: a table that is not square and symmetric; no reach; an origin that is taken.
+        ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an unknown projector.
     """
     name = getattr(law, "__name__", repr(law))
     if origin in RESERVED:
@@ -93,7 +113,14 @@ def term(law: Callable, *, reach=None, origin: str | None = None, **coefficients
     if reach is None and declared is None and "r_c" not in values:
         raise ValueError(f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)")
     cut = None if reach is None or callable(reach) else positive(reach, f"reach of {name}")
-    return Term(law, values, cut, declared, origin)
+    projector = getattr(law, "projector", CENTRAL) if projector is None else _known_projector(projector)
+    return Term(law, values, cut, declared, origin, projector)
+
+
+def _known_projector(projector: str) -> str:
+    if projector not in PROJECTORS:
+        raise ValueError(f"projector is {projector!r}; it is one of {', '.join(PROJECTORS)}")
+    return projector
 
 
 def several(terms) -> list[Term]:

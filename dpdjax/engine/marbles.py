@@ -1,0 +1,101 @@
+"""Marbles to start from: spheres that do not overlap, solvent outside them."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from dpdjax.checks import positive, prng_key
+from dpdjax.engine import box as boxes
+from dpdjax.engine import packing
+from dpdjax.engine.advice import suggest_dt
+from dpdjax.engine.start import placed
+from dpdjax.engine.state import State
+from dpdjax.model.colloids import COLLOID, sphere_volume
+from dpdjax.model.fluid import Fluid
+from dpdjax.model.marbles import marble_fluid
+
+
+@dataclasses.dataclass(frozen=True)
+class Marbles:
+    """A fluid with marbles and a state of it; prints what it is made of.
+
+    Attributes:
+        fluid: the fluid, species 0 the solvent and species 1 the marbles.
+        state: where the beads are.
+        dt: a time step that suits it [time].
+    """
+
+    fluid: Fluid
+    state: State
+    dt: float
+
+    @property
+    def solvents(self) -> int:
+        """Number of solvent beads."""
+        return self.state.n - self.count
+
+    @property
+    def count(self) -> int:
+        """Number of marbles."""
+        return self.state.rotation.m
+
+    @property
+    def share(self) -> float:
+        """Mass of the marbles over that of all beads; of one of them ``<v^2> = 3 kT/M (1 - share)``."""
+        solvent, marble = np.asarray(self.fluid.mass, float)
+        return float(self.count * marble / (self.count * marble + self.solvents * solvent))
+
+    def __str__(self):
+        sides = " x ".join(f"{side:g}" for side in np.asarray(self.state.box.lengths))
+        mass, inertia = float(self.fluid.mass[COLLOID]), float(self.fluid.inertia[COLLOID])
+        return "\n".join(
+            [
+                f"{self.count} marble{'s' if self.count > 1 else ''} and {self.solvents} solvent beads in {sides}",
+                f"marbles: radius {float(self.fluid.radius[COLLOID]):g}, mass {mass:.4g} ({100 * self.share:.3g} % of the whole), "
+                f"inertia {inertia:.4g}",
+                f"kT {float(self.fluid.kT):g}, gamma {float(self.fluid.value('gamma')):g}, "
+                f"gamma_cs {float(self.fluid.value('gamma_cs')):g}, dt {self.dt:.2g}",
+            ]
+        )
+
+
+def marbles(
+    key, *, box, count: int = 1, radius=3.0, density=3.0, skin=None, dt=None, sheared: bool = False, report=print, **numbers
+) -> Marbles:
+    """Large spheres that rotate in a solvent, placed at random.
+
+    ``density (V - V_marbles)`` solvent beads, rounded down, lie outside them. The solvent starts without structure:
+    let it settle for some time units.
+
+    Args:
+        key: a PRNG key; the same one may drive the run.
+        box: one side or three [length], at least ``2 (radius + 1 + skin)``.
+        count: number of marbles; of several the box holds ``2 (2 radius + skin)`` at least.
+        radius: of a marble [length].
+        density: solvent beads per volume outside the marbles.
+        skin, dt: as for :func:`dpdjax.initial_state`.
+        sheared: leave room in the lists for a tilted box.
+        report: told what was made; None for silence.
+        **numbers: all that :func:`dpdjax.marble_fluid` takes: kT, gamma, gamma_cs, coupling, ...
+
+    Raises ValueError for a box too small for the lists or the marbles, and numbers no fluid can have.
+    """
+    key = prng_key(key)
+    if int(count) != count or count < 1:
+        raise ValueError(f"count is {count!r}; it must be a whole number of at least 1")
+    fluid = marble_fluid(radius=radius, density=density, is_several=count > 1, **numbers)
+    lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
+    space, volume, radii = boxes.box(lengths), float(np.prod(lengths)), np.full(int(count), float(radius))
+    free = volume - float(sphere_volume(radii).sum())
+    if free <= 0:
+        raise ValueError(f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; use a larger box")
+    centres = packing.pack(key, space, radii)
+    beads = packing.fill(key, space, centres, radii, math.floor(float(density) * free * (1 + 1e-9)))
+    counts = (len(beads), int(count))
+    dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
+    position = np.concatenate([np.asarray(beads), np.asarray(centres)])
+    made = Marbles(fluid, placed(fluid, key, space, position, counts, skin=skin, dt=dt, sheared=sheared), dt)
+    if report is not None:
+        report(str(made))
+    return made

@@ -1,0 +1,105 @@
+"""Rotation of spheres: autocorrelation of angular velocity and orientation, rotational diffusion.
+
+Recorded with ``observe=dpd.rotations``. Error bars come from pieces in time and replicas, as in
+:mod:`dpdjax.measure.transport`.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from dpdjax.engine.rotation import axis_of
+from dpdjax.measure import transport
+from dpdjax.measure.statistics import Estimate
+from dpdjax.measure.structure import draw, recorded, standard_error
+from dpdjax.measure.transport import correlated, read_diffusion
+
+RECORD = "dpd.rotations"
+
+
+@dataclasses.dataclass(frozen=True)
+class RotationalCorrelation:
+    """How long rotation is remembered.
+
+    Attributes:
+        time: lags from 0, (lags,) [time].
+        value: (lags,), ``<omega(t) . omega(0)>`` [1/time^2] or ``<u(t) . u(0)>`` of a unit vector.
+        error: its standard error, (lags,); NaN where there is a single piece.
+        name: what it is, for drawing.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+    error: np.ndarray
+    name: str
+
+    def plot(self, ax=None):
+        """Draw it with its error band; returns the matplotlib axes."""
+        return draw(ax, self.time, self.value, self.error, "t [time]", self.name)
+
+
+def angular_velocity_autocorrelation(trajectory, *, t_max: float | None = None) -> RotationalCorrelation:
+    """``<omega(t) . omega(0)>`` of all spheres that rotate; ``3 kT / I`` at t = 0.
+
+    Args:
+        trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
+        t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
+
+    Raises ValueError for a sheared or failed run, one without rotations, a ``t_max`` outside the run.
+    """
+    values = recorded(trajectory, "angular_velocity", observe=RECORD)
+    time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
+    name = "angular velocity autocorrelation [1 / time$^2$]"
+    return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), name)
+
+
+def orientation_correlation(trajectory, *, t_max: float | None = None) -> RotationalCorrelation:
+    """``<u(t) . u(0)>`` of the axis of all spheres that rotate; ``exp(-2 D_r t)`` at late times.
+
+    Arguments and errors as in :func:`angular_velocity_autocorrelation`.
+    """
+    values = axis_of(recorded(trajectory, "orientation", observe=RECORD, components=4))
+    time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
+    return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), "orientation autocorrelation")
+
+
+def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None) -> Estimate:
+    """The rotational diffusion coefficient ``D_r`` [1/time] of the spheres of a run.
+
+    Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean square of the angle turned by
+    (Einstein), added up from the turns between frames, each of which is to stay well below pi; or a third of the integral of
+    the angular velocity autocorrelation up to t, averaged over t (Green-Kubo), which needs frames much closer than the
+    angular velocity lives.
+
+    Args:
+        trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
+        method: ``"msd"`` or ``"vacf"``.
+        fit: first and last lag [time]; by default the later half of the lags that leave 12 independent pieces.
+
+    Raises ValueError as :func:`dpdjax.diffusion` does, and for frames so far apart that turns are lost count of.
+    """
+    if method not in ("msd", "vacf"):
+        raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
+    if method == "vacf":
+        values = recorded(trajectory, "angular_velocity", observe=RECORD)
+        return read_diffusion(trajectory, values, values.shape, transport.autocorrelation, transport.green_kubo_integral, fit)
+    angle = angle_turned(recorded(trajectory, "orientation", observe=RECORD, components=4))
+    return read_diffusion(trajectory, angle, angle.shape, transport.squared_displacement, transport.einstein, fit)
+
+
+def angle_turned(orientation) -> np.ndarray:
+    """The turns between frames, as vectors, added up: (..., frames, m, 3) from quaternions (..., frames, m, 4)."""
+    q = np.asarray(orientation, float)
+    before, after = q[..., :-1, :, :], q[..., 1:, :, :]
+    w = np.sum(before * after, axis=-1)
+    a, b = before[..., 1:], after[..., 1:]
+    v = before[..., :1] * b - after[..., :1] * a - np.cross(b, a)
+    # A quaternion and its negative are the same turn: take the shorter.
+    v, w = v * np.where(w < 0, -1.0, 1.0)[..., None], np.abs(w)
+    sine = np.linalg.norm(v, axis=-1)
+    half = np.arctan2(sine, w)
+    if np.max(half, initial=0.0) > 0.4 * np.pi:
+        raise ValueError("between two frames a sphere turned by most of half a turn; record frames closer together")
+    turns = 2.0 * v * (half / np.where(sine > 0, sine, 1.0))[..., None]
+    start = np.zeros_like(q[..., :1, :, :3])
+    return np.concatenate([start, np.cumsum(turns, axis=-3)], axis=-3)

@@ -1,0 +1,37 @@
+"""Pair laws of marbles, large spheres whose surface drags the solvent (Zhou & Schmid 2015)."""
+
+import jax.numpy as jnp
+
+from dpdjax.model.term import FULL, projected, reaches
+
+WIDEST = 2 ** (1 / 6)
+"""Where the Lennard-Jones potential is lowest, in sigma."""
+STEEPEST = 0.5
+"""Distance in sigma below which the potential goes on as a straight line: no bead gets there, and one put there is pushed out."""
+
+
+@reaches(lambda *, sigma, r_0, R_i, R_j: r_0 + WIDEST * sigma - R_i - R_j)
+def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
+    """Lennard-Jones repulsion of the distance ``r - r_0`` between centre and shell [energy] (Zhou & Schmid 2015, eq. 5).
+
+    ``4 epsilon [(sigma/(r - r_0))^12 - (sigma/(r - r_0))^6 + 1/4]``, cut where it vanishes, at ``r - r_0 = 2^(1/6) sigma``
+    (the cut printed there, ``sigma``, leaves a jump of ``epsilon``).
+    """
+    # A power of a negative number of whole sixths has no slope problem, but beads inside must be pushed out, not in.
+    x = (h + R_i + R_j - r_0) / sigma
+    y = jnp.maximum(x, STEEPEST) ** -6
+    least = STEEPEST**-6
+    slope = 24.0 * (least - 2.0 * least**2) / STEEPEST
+    return epsilon * (4.0 * (y * y - y) + 1.0 + slope * jnp.minimum(x - STEEPEST, 0.0))
+
+
+@projected(FULL)
+@reaches(lambda *, r_c: r_c)
+def surface_drag(h, *, gamma_cs, r_c):
+    """Friction ``gamma_cs (1 - |h|/r_c)^2`` of a solvent bead and the surface next to it (Zhou & Schmid 2015, eq. 12).
+
+    The gap ``|h| = |r - R|`` is the distance from the bead to the surface. Acts on the whole relative velocity unless told
+    otherwise: ``dpd.term(dpd.surface_drag, projector="central", ...)`` is their eq. 8, ``"transverse"`` their eq. 10.
+    ``gamma_cs`` [mass / time] tunes slip.
+    """
+    return gamma_cs * jnp.maximum(1.0 - jnp.abs(h) / r_c, 0.0) ** 2
