@@ -55,6 +55,7 @@ _HOMES = {
         "shear_record", "shear_viscosity", "sine_record", "sinusoidal_viscosity",
     ],
     "dpdjax.calibration.calibrate": ["Calibration", "TargetError", "calibrate", "measure_viscosity"],
+    "dpdjax.calibration.relative": ["relative_viscosity"],
     "dpdjax.calibration.joint": ["JointCalibration"],
     "dpdjax.host.bench": ["bench"],
     "dpdjax.host.run": ["RunError", "run"],

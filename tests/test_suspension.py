@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -219,6 +221,29 @@ def test_scans_over_numbers_of_colloids(suspended, settled, key):
         alone = jax.jit(lambda x: run(**{name: x}))(values[1])
         np.testing.assert_allclose(together[1], alone, atol=1e-9)
         assert not jnp.allclose(together[0], together[1])
+
+
+def test_relative_viscosity_is_that_at_the_density_between(settled, suspended, key, monkeypatch):
+    """Of replicas; the measurement of the solvent is replaced by one that says what it was asked."""
+    asked = {}
+
+    def measure(fluid, **how):
+        asked.update(how, species=fluid.species)
+        return SimpleNamespace(estimate=dpd.Estimate(0.5, 0.01))
+
+    monkeypatch.setattr(sys.modules[dpd.relative_viscosity.__module__], "measure_viscosity", measure)
+    wide = dataclasses.replace(settled, position=settled.position.at[suspended.solvents :].set(jnp.array([4.0, 4.0, 4.0])))
+    rng = np.random.default_rng(0)
+    stress = -0.8 + 0.1 * rng.normal(size=(2, 40, 1, 1)) * np.ones((1, 1, 3, 3))
+    final = jax.tree.map(lambda x: jnp.stack([x, x]), wide)
+    frames = {"pressure_tensor": stress, "time": np.zeros((2, 40))}
+    sheared = dpd.Trajectory(final, frames, suspended.fluid, dpd.shear(1.0), DT)
+    found = dpd.relative_viscosity(sheared, key=key, tolerance=0.1)
+    assert found.value == pytest.approx(dpd.shear_viscosity(sheared).value / 0.5) and found.deviation(1.6) < 4
+    assert asked["density"] == pytest.approx(dpd.solvent_density(suspended.fluid, wide))
+    assert asked["tolerance"] == 0.1 and asked["species"] == 1
+    known = dpd.relative_viscosity(sheared, solvent=dpd.Estimate(0.25, 0.0))
+    assert known.value == pytest.approx(2 * found.value)
 
 
 def test_killed_and_repeated(suspended, settled, simulate, key):

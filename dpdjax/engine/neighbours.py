@@ -98,8 +98,8 @@ def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, 
     cut = reach + skin
     if np.any(boxes.narrowest(lengths, sheared) < 2 * cut * (1 - 1e-6)):
         raise ValueError(
-            f"box side {lengths.min():.4g}{f' (tilted it counts {lengths.min() / np.hypot(1, 0.5):.4g})' if sheared else ''} "
-            f"is below 2 (reach + skin) = {2 * cut:.4g}; use a side of at least "
+            f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * cut:.4g}"
+            f"{', or 1.118 times that in a box that can tilt' if sheared else ''}; use a side of at least "
             f"{2 * cut * (np.hypot(1, 0.5) if sheared else 1):.4g} or a smaller skin"
         )
     all_pairs = Grid(reach, skin, None, 0, 0, 0, sheared, groups)
