@@ -200,3 +200,11 @@ def test_a_scan_is_judged_by_the_member_that_needs_the_shortest_step(name):
     fluid = dpd.colloid_fluid()
     least = lambda value: min(dt for _, dt in advice.dt_limits(fluid.set(**{name: value}), [2.4, 0.05]))
     assert least(jnp.array([1e-4, 1e-3])) == pytest.approx(least(1e-4))
+
+
+def test_deep_overlap_is_no_well():
+    """Laws of two spheres are looked at outside contact alone: far inside, a Yukawa repulsion is an attraction."""
+    limit = lambda law: advice.dt_limits(dpd.colloid_fluid(attraction=law), (2.4, 0.05))[3][1]
+    hard = limit(dpd.term(dpd.yukawa, epsilon=0.0, kappa=8.0))
+    assert limit(dpd.term(dpd.yukawa, epsilon=2.0, kappa=2.0, reach=1.0)) <= hard < 0.01
+    assert limit(dpd.term(dpd.asakura_oosawa, phi_p=0.3, r_g=1.2)) == hard

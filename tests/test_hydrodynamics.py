@@ -91,7 +91,7 @@ H, BATCH, FRAMES = 0.1, 16, 1200
 def made_up(flow=None, **frames):
     """What a run would leave behind of two solvent beads and one marble of mass 3."""
     species = np.array([0, 0, 1])
-    final = SimpleNamespace(species=species, size=np.ones(3), n=3)
+    final = SimpleNamespace(species=species, size=np.ones(3), n=3, rotation=SimpleNamespace(slots=slice(2, 3)))
     fluid = SimpleNamespace(mass=np.array([1.0, 3.0]), species=2, kT=np.asarray(2.0), is_batch=False)
     interval = np.asarray(H)
     return SimpleNamespace(frames=frames, flow=flow or quiet(), final=final, fluid=fluid, interval=interval)
@@ -182,6 +182,28 @@ def test_driven_rotation_is_angular_velocity_over_torque():
     found = dpd.driven_rotation(drifting(0.05, dpd.drive(torque=(3.0, 0.0, 0.0))))
     assert found.diffusion.deviation(2.0 * 0.05 / 3.0) < 3.5 and found.turns
     assert found.reynolds(density=3.0, viscosity=1.5, radius=2.0) == pytest.approx(6.0 * 2.0 * found.velocity.value * 2.0 / 3.0)
+
+
+def test_only_the_driven_species_is_read():
+    """Two rotating species, the torque on the second."""
+    run = drifting(0.05, dpd.drive(torque=3.0, species=2))
+    both = np.concatenate([np.full_like(run.frames["angular_velocity"], 7.0), run.frames["angular_velocity"]], axis=2)
+    run.frames["angular_velocity"] = both
+    run.final.species, run.final.rotation.slots = np.array([0, 1, 2]), slice(1, 3)
+    assert dpd.driven_rotation(run).velocity.deviation(0.05) < 3.5
+
+
+def test_no_drift_at_all():
+    still = made_up(dpd.drive(4.0), unwrapped=np.zeros((4, 100, 1, 3)))
+    assert dpd.driven_diffusion(still).friction.value == math.inf
+
+
+def test_means_of_orientations_are_refused():
+    run = made_up(orientation=rolled()[0])
+    run.means = ("orientation",)
+    for measure in (dpd.rotational_diffusion, dpd.orientation_correlation):
+        with pytest.raises(ValueError, match="means of orientations, which are none; use observe=dpd.rotations"):
+            measure(run)
 
 
 def test_drives_balance(key, simulate):

@@ -88,7 +88,7 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
         return []
     side, tau = float(np.min(state.box.lengths)), _diffusion_time(numbers)
     found = []
-    if side < PRODUCTION_SIDE:
+    if side < PRODUCTION_SIDE and not fluid.rotating:
         found.append(
             f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
         )
@@ -115,18 +115,22 @@ def _diffusion_time(numbers) -> float:
 def damping_rate(fluid: Fluid, density) -> float:
     """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times the integral of zeta [1/time].
 
-    Twice or three times that for frictions across the line of centres, or in all directions.
+    Twice or three times that for frictions across the line of centres, or in all directions. Or that of the spin of a
+    sphere, twice ``density R^2 / 3 I`` times the integral for what acts across.
 
     ``density`` as for :func:`suggest_dt`. Drag between colloids is not in it.
     """
     densities = _densities(fluid, density)
-    rates = np.zeros(fluid.species)
+    rates, spins = np.zeros(fluid.species), np.zeros(fluid.species)
     for i in (i for i in fluid.interactions if not _is_between_colloids(fluid, i)):
-        friction = sum(DIRECTIONS[t.projector] * _volume_integral(fluid, i, t) for t in i.drag)
+        integrals = [(t.projector, _volume_integral(fluid, i, t)) for t in i.drag]
+        friction = sum(DIRECTIONS[projector] * integral for projector, integral in integrals)
+        across = sum(2 * integral for projector, integral in integrals if projector != CENTRAL)
         # Within one group both directions are the same.
         for mine, other in {i.groups, i.groups[::-1]}:
             rates[list(mine)] += friction * densities[list(other)].sum()
-    return float(np.max(rates / 3.0 / np.asarray(fluid.mass)))
+            spins[list(mine)] += across * densities[list(other)].sum()
+    return float(max(np.max(rates / np.asarray(fluid.mass)), np.max(spins * _arms(fluid)))) / 3.0
 
 
 def repulsion_energy(fluid: Fluid, density) -> float:
@@ -142,7 +146,8 @@ def pair_frequency(fluid: Fluid, interaction: Interaction, sizes: tuple[float, f
     stiffest = 0.0
     for t in interaction.conservative:
         _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes, inside=True)
-        reached = energy - energy.min() <= 4.0 * float(fluid.kT)
+        # The well is where beads are: laws need not make sense in deep overlap.
+        reached = energy - energy[-SAMPLES:].min() <= 4.0 * float(fluid.kT)
         stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
     a, b = _masses(fluid, interaction, sizes)
     return math.sqrt(stiffest * (1.0 / a + 1.0 / b))
@@ -240,13 +245,20 @@ def _masses(fluid, interaction, sizes=(1.0, 1.0)) -> tuple[float, float]:
     return tuple(_lightest(fluid, group) * size**3 for group, size in zip(interaction.groups, sizes))
 
 
+def _arms(fluid):
+    """``R^2 / I`` of each species: what a friction across the line of centres does to its spin; 0 where there is none."""
+    turns = lambda R, inertia: 0.0 if inertia is None else float(np.max(R)) ** 2 / float(np.min(inertia))
+    return np.array([turns(R, inertia) for R, inertia in zip(fluid.radius, fluid.inertia)])
+
+
 def _network_rate(fluid, interaction, sizes) -> float:
-    """Damping rate of the first colloid among close neighbours like the second [1/time].
+    """Damping rate of the first colloid among close neighbours like the second, of its velocity or its spin [1/time].
 
     Neighbours as heavy as it give way, which is in it: each pair's rate counts half.
     """
-    zeta = sum(_largest_friction(fluid, interaction, t, sizes) for t in interaction.drag)
-    return CLOSE_NEIGHBOURS * zeta / _masses(fluid, interaction, sizes)[0]
+    friction = lambda other: sum(_largest_friction(fluid, interaction, t, sizes) for t in interaction.drag if t.projector != other)
+    mass, arm = _masses(fluid, interaction, sizes)[0], np.max(_arms(fluid)[list(interaction.groups[0])]) / sizes[0] ** 3
+    return CLOSE_NEIGHBOURS * max(friction(TRANSVERSE) / mass, friction(CENTRAL) * (1.0 / mass + arm))
 
 
 def _largest_friction(fluid, interaction, term, sizes) -> float:
@@ -267,12 +279,13 @@ def _volume_integral(fluid, interaction, term) -> float:
 def _sampled(fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0), inside: bool = False):
     """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and the step.
 
-    ``inside``: spheres from as deep in overlap on.
+    ``inside``: of a point and a sphere from as deep inside on, where a wall may be that starts outside.
     """
     given = _given(fluid, interaction, sizes)
     law, reach = term.between(np.max, **given)
     width = float(reach) / SAMPLES
-    count = SAMPLES if inside and given["R_i"] + given["R_j"] > 0 else 0
+    wall = (given["R_i"] > 0) != (given["R_j"] > 0) and float(reach) < given["R_i"] + given["R_j"]
+    count = SAMPLES if inside and wall else 0
     gap = (np.arange(-count, SAMPLES) + 0.5) * width
     with jax.ensure_compile_time_eval():
         h, one = jnp.asarray(gap), jnp.ones(len(gap))

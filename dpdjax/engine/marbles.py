@@ -42,7 +42,7 @@ class Marbles:
 
     @property
     def share(self) -> float:
-        """Mass of the marbles over that of all beads; of one of them ``<v^2> = 3 kT/M (1 - share)``."""
+        """Mass of the marbles over that of all beads; where there is one, ``<v^2> = 3 kT/M (1 - share)``."""
         solvent, marble = np.asarray(self.fluid.mass, float)
         return float(self.count * marble / (self.count * marble + self.solvents * solvent))
 
@@ -91,7 +91,10 @@ def marbles(
     if free <= 0:
         raise ValueError(f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; use a larger box")
     centres = packing.pack(key, space, radii)
-    beads = packing.fill(key, space, centres, radii, math.floor(float(density) * free * (1 + 1e-9)))
+    wall = {name: float(np.max(fluid.interactions[1].conservative[0].coefficients[name])) for name in ("r_0", "sigma")}
+    # Outside the wall, where its energy is at most epsilon.
+    clearance = max(0.0, wall["r_0"] + wall["sigma"] - float(radius)) * (1 + 1e-6)
+    beads = packing.fill(key, space, centres, radii, math.floor(float(density) * free * (1 + 1e-9)), clearance=clearance)
     counts = (len(beads), int(count))
     dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
     position = np.concatenate([np.asarray(beads), np.asarray(centres)])

@@ -29,8 +29,8 @@ def started(fluid, state: State, key, dt, flow) -> State:
     def compute(state):
         updated = update_lists(state)
         force, torque, sums = total_force(fluid, updated, updated.velocity, key, dt, flow, True)
-        turning = updated.rotation and dataclasses.replace(updated.rotation, torque=torque)
-        new = dataclasses.replace(updated, force=force, rotation=turning, tally=sums, started=jnp.ones_like(state.started))
+        rotation = None if torque is None else dataclasses.replace(updated.rotation, torque=torque)
+        new = dataclasses.replace(updated, force=force, rotation=rotation, tally=sums, started=jnp.ones_like(state.started))
         return jax.tree.map(lambda old, new: jnp.where(state.started, old, new), state, new)
 
     # In a batch all compute as soon as one must: a branch of its own for each would be no branch.
@@ -54,7 +54,7 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     | v~ = v + lambda dt f / m            | ``predicted``                          |
     | f' = F(r, v~), noise of step + 1    | ``total_force``                        |
     | v += dt (f + f') / 2m               | ``velocity``                           |
-    | the same for angles, with I for m   | ``turning``, ``rotating``, ``rotated`` |
+    | the same for angles, with I for m   | ``turning``, ``rotated``               |
 
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar
     velocity loses ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no

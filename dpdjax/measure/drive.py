@@ -7,7 +7,8 @@ import numpy as np
 
 from dpdjax.engine.flow import Drive
 from dpdjax.measure.statistics import Estimate, block_average
-from dpdjax.measure.structure import chosen_beads, of_beads, recorded
+from dpdjax.measure.structure import chosen_beads, of_beads, recorded, species_of
+from dpdjax.measure.transport import frame_interval
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Driven:
 def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
     """Diffusion coefficient of spheres from their drift under ``flow=dpd.drive(force=...)``.
 
+    Of one sphere; several, pushed together, drift with their collective mobility.
+
     ``D = kT v / F`` where the whole has no momentum. With the reaction on all beads (Einstein 1905; the D of equilibrium
     and of the theory of periodic boxes), F is the force given; where the others alone bear it, a part ``x`` of the mass being
     that of the driven beads, the drive acts like a force ``F/(1 - x)`` with the reaction on all. Zhou & Schmid (2015) divide
@@ -53,7 +56,7 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     beads = chosen_beads(trajectory, flow.species)
     position = of_beads(recorded(trajectory, "unwrapped"), trajectory, beads).astype(float)
     first = int(skip * (position.shape[1] - 1))
-    steps = np.diff(position[:, first:], axis=1) @ along / _interval(trajectory)
+    steps = np.diff(position[:, first:], axis=1) @ along / frame_interval(trajectory)
     velocity = block_average(steps.mean(axis=2), blocks)
     if flow.reaction == "others":
         force = force / (1.0 - driven_share(trajectory))
@@ -63,12 +66,13 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
 def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
     """Rotational diffusion coefficient of spheres from their angular velocity under ``flow=dpd.drive(torque=...)``.
 
-    ``D_r = kT omega / T``. Record with ``observe=dpd.mean(dpd.rotations)``: the mean over all steps. Arguments and errors as
+    ``D_r = kT omega / T``. Record with ``observe=dpd.rotations``, or its mean over all steps. Arguments and errors as
     in :func:`driven_diffusion`.
     """
-    _, torque, along = _driven(trajectory, "twist", "torque")
-    omega = recorded(trajectory, "angular_velocity", observe="dpd.mean(dpd.rotations)").astype(float) @ along
-    velocity = block_average(omega[:, int(skip * omega.shape[1]) :].mean(axis=2), blocks)
+    flow, torque, along = _driven(trajectory, "twist", "torque")
+    omega = recorded(trajectory, "angular_velocity", observe="dpd.rotations").astype(float) @ along
+    turning = species_of(trajectory)[trajectory.final.rotation.slots] == flow.species
+    velocity = block_average(omega[:, int(skip * omega.shape[1]) :, turning].mean(axis=2), blocks)
     return _result(trajectory, velocity, torque, turns=True)
 
 
@@ -92,15 +96,8 @@ def _driven(trajectory, name: str, what: str):
     return flow, size, vectors[0] / size
 
 
-def _interval(trajectory) -> float:
-    intervals = np.unique(np.asarray(trajectory.interval, float))
-    if intervals.size > 1:
-        raise ValueError("the members of this batch differ in dt; measure them one by one: trajectory.members()")
-    return float(intervals[0])
-
-
 def _result(trajectory, velocity: Estimate, strength: float, turns: bool) -> Driven:
     kT = float(np.ravel(trajectory.fluid.kT)[0])
     diffusion = velocity.scaled(kT / strength)
-    value = strength / velocity.value if velocity.value else math.inf
-    return Driven(diffusion, velocity, Estimate(value, abs(value * velocity.error / velocity.value), velocity.blocks), turns)
+    friction = Estimate(strength, 0.0, velocity.blocks).over(velocity) if velocity.value else Estimate(math.inf, math.inf)
+    return Driven(diffusion, velocity, friction, turns)

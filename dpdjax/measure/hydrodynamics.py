@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
+from dpdjax.checks import positive
 from dpdjax.measure.statistics import Estimate
 
 LATTICE = 2.837297
@@ -63,7 +64,7 @@ def velocity_tail(time, *, kT, viscosity, density, box=None):
         kT, viscosity, density: of the fluid; mass density.
         box: side of a periodic cube [length].
     """
-    nu_t = viscosity / density * np.asarray(time, float)
+    nu_t = viscosity / density * np.asarray(positive(time, "time"), float)
     if box is None:
         return kT / (4 * density * (math.pi * nu_t) ** 1.5)
     return 2 * kT / (density * box**3) * _wave_sum(nu_t, box, 0)
@@ -75,7 +76,7 @@ def angular_velocity_tail(time, *, kT, viscosity, density, box=None):
     ``3 pi kT/(density (4 pi nu t)^(5/2))`` (Berne 1972): half the curl of the fluid's velocity fluctuations; in a periodic cube
     ``kT/(2 density V) sum k^2 exp(-nu k^2 t)``. Arguments as in :func:`velocity_tail`.
     """
-    nu_t = viscosity / density * np.asarray(time, float)
+    nu_t = viscosity / density * np.asarray(positive(time, "time"), float)
     if box is None:
         return 3 * math.pi * kT / (density * (4 * math.pi * nu_t) ** 2.5)
     return kT / (2 * density * box**3) * _wave_sum(nu_t, box, 1)

@@ -58,7 +58,7 @@ def orientation_correlation(trajectory, *, t_max: float | None = None) -> Rotati
 
     Arguments and errors as in :func:`angular_velocity_autocorrelation`.
     """
-    values = axis_of(recorded(trajectory, "orientation", observe=RECORD, components=4))
+    values = axis_of(_orientations(trajectory))
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
     return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), "orientation autocorrelation")
 
@@ -83,8 +83,14 @@ def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, f
     if method == "vacf":
         values = recorded(trajectory, "angular_velocity", observe=RECORD)
         return read_diffusion(trajectory, values, values.shape, transport.autocorrelation, transport.green_kubo_integral, fit)
-    angle = angle_turned(recorded(trajectory, "orientation", observe=RECORD, components=4))
+    angle = angle_turned(_orientations(trajectory))
     return read_diffusion(trajectory, angle, angle.shape, transport.squared_displacement, transport.einstein, fit)
+
+
+def _orientations(trajectory):
+    if "orientation" in getattr(trajectory, "means", ()):
+        raise ValueError("the run recorded means of orientations, which are none; use observe=dpd.rotations")
+    return recorded(trajectory, "orientation", observe=RECORD, components=4)
 
 
 def angle_turned(orientation) -> np.ndarray:

@@ -141,10 +141,11 @@ def recorded(trajectory, name: str, *, sheared: bool = False, observe: str = "dp
 
 
 def as_frames(values, name: str, components: int = 3) -> np.ndarray:
-    """(n, 3), (frames, n, 3) or (..., frames, n, 3) as (batch, frames, n, 3); ValueError unless finite."""
+    """(n, 3), (frames, n, 3) or (..., frames, n, 3) as (batch, frames, n, 3), 3 the components; ValueError unless finite."""
     values = np.asarray(values)
     if values.ndim < 2 or values.shape[-1] != components or values.size == 0:
-        raise ValueError(f"{name} has shape {values.shape}; (n, 3), (frames, n, 3) or (batch, frames, n, 3) is wanted")
+        wanted = f"(n, {components}), (frames, n, {components}) or (batch, frames, n, {components})"
+        raise ValueError(f"{name} has shape {values.shape}; {wanted} is wanted")
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{name} holds NaN or infinity: the run failed, see trajectory.final.status")
     values = values[None] if values.ndim == 2 else values

@@ -178,7 +178,7 @@ def correlated(trajectory, members, shape, correlate, t_max):
     ``members``: an iterable of values (frames, beads, 3), ``shape`` that of all of them.
     """
     batch, frames = shape[:2]
-    interval = _interval(trajectory)
+    interval = frame_interval(trajectory)
     longest = _longest_lag(frames, batch, interval, t_max)
     each = pieces_of_member(batch, frames, longest)
     curves = [correlate(piece, longest) for member in members for piece in np.split(member[: frames // each * each], each)]
@@ -199,7 +199,8 @@ def _longest_lag(frames, batch, interval, t_max):
     return longest
 
 
-def _interval(trajectory) -> float:
+def frame_interval(trajectory) -> float:
+    """Time between two frames; ValueError where the members of a batch differ."""
     intervals = np.ravel(np.asarray(trajectory.interval, float))
     if not np.allclose(intervals, intervals[0]):
         raise ValueError("members of the batch have different time steps; measure them one by one")

@@ -153,8 +153,8 @@ class Fluid:
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
         ``between``: the two species (or groups of species) whose terms alone take them. ``kT``, ``mass`` and ``inertia``
-        are set the same way, of the whole fluid; ``inertia`` of all species that rotate. Raises TypeError for a name that
-        no term knows, ValueError for a value that no fluid can have.
+        are set the same way, of the whole fluid; ``inertia`` of all species that rotate, which a new mass leaves as it
+        is. Raises TypeError for a name that no term knows, ValueError for a value that no fluid can have.
         """
         groups = None if between is None else _groups(between)
         chosen = [i for i in self.interactions if groups in (None, i.groups)]

@@ -3,7 +3,7 @@
     python tests/physics/marbles.py viscosity temperatures    # what the rest is set beside: an hour
     python tests/physics/marbles.py run --minutes 30          # more pieces, where errors are furthest from their targets
     python tests/physics/marbles.py run --minutes 30 --worker 1 --workers 2
-    python tests/physics/marbles.py table
+    python tests/physics/marbles.py marble                    # the table of what there is
 
 Every piece is a batch of replicas of its own, so pieces can be made by several workers, machines and sessions. Single
 precision, as users run. Solvent of Zhou & Schmid (2015): a 0, gamma 5, kT 1, density 3; marble of radius 3.
@@ -13,6 +13,7 @@ import argparse
 import csv
 import dataclasses
 import datetime
+import json
 import math
 import platform
 import subprocess
@@ -26,13 +27,15 @@ import rooms
 from rooms import row
 
 import dpdjax as dpd
+from dpdjax.measure import transport
+from dpdjax.measure.rotation import angle_turned
 from dpdjax.measure.statistics import Estimate, block_average
 
 KEY = jax.random.key(2026)
 DT, RADIUS, DENSITY = 0.006, 3.0, 3.0
 EVERY = 10
-SETTLE, LENGTH, REPLICAS = 20.0, 150.0, 4
-"""Time a replica settles and runs, and replicas of a piece."""
+REPLICAS = 4
+"""Of a piece."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +57,17 @@ class Case:
     @property
     def fit(self) -> tuple[float, float]:
         """Lags at which the velocity is forgotten: it decays with the slowest wave, at ``nu (2 pi/L)^2``."""
-        return (15.0, 25.0) if self.box <= 10 else (0.16 * self.box**2, 0.24 * self.box**2)
+        return (0.15 * self.box**2, 0.25 * self.box**2)
+
+    @property
+    def settle(self) -> float:
+        """Time a replica settles: five lives of the slowest wave."""
+        return 0.3 * self.box**2
+
+    @property
+    def length(self) -> float:
+        """Time a replica runs."""
+        return 1.5 * self.box**2
 
 
 CASES = (
@@ -79,29 +92,28 @@ def piece(case: Case, number: int) -> dict:
     keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(KEY, 1 + CASES.index(case)), number), REPLICAS)
     made = [dpd.marbles(key, box=case.box, gamma_cs=case.gamma_cs, dt=DT, report=None) for key in keys]
     state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[m.state for m in made])
-    fluid, go = made[0].fluid, lambda state, length: dpd.Plan(round(length / DT / EVERY), EVERY)
-    settled = dpd.run(fluid, state, keys, DT, go(state, SETTLE), case.flow, progress=False).final
-    observe = [dpd.positions_of(1), dpd.mean(dpd.rotations), dpd.mean(thermal)]
-    # The mean angular velocity of every frame; the orientation at its end is not wanted.
-    run = dpd.run(fluid, settled, keys, DT, go(settled, LENGTH), case.flow, observe=observe, progress=False)
+    fluid, plan = made[0].fluid, lambda length: dpd.Plan(round(length / DT / EVERY), EVERY)
+    settled = dpd.run(fluid, state, keys, DT, plan(case.settle), case.flow, progress=False).final
+    observe = [dpd.positions_of(1), dpd.rotations, dpd.mean(thermal)]
+    run = dpd.run(fluid, settled, keys, DT, plan(case.length), case.flow, observe=observe, progress=False)
     return {
-        "case": case.name, "piece": number, **readings(case, run, made[0].share),
-        "dt": DT, "time": LENGTH * REPLICAS, "replicas": REPLICAS, "beads": made[0].state.n,
-        "particle_steps": round((SETTLE + LENGTH) / DT) * REPLICAS * made[0].state.n,
+        "case": case.name, "piece": number, **readings(case, run),
+        "dt": DT, "time": case.length * REPLICAS, "replicas": REPLICAS, "beads": made[0].state.n,
+        "particle_steps": round((case.settle + case.length) / DT) * REPLICAS * made[0].state.n,
         "seconds": round(time.monotonic() - began), "commit": commit(), "device": device(),
         "date": datetime.date.today().isoformat(),
     }  # fmt: skip
 
 
 def thermal(fluid, state):
-    """Kinetic temperatures: of all beads; of the marble's velocity and spin, over what they should be."""
+    """Kinetic temperatures: of all beads; of the marble's velocity and spin across the drive, over what they should be."""
     mass, inertia, rest = fluid.mass[1], fluid.inertia[1], fluid.mass[0] * (state.n - 1)
     share = mass / (mass + rest)
-    v2, w2 = jnp.mean(state.velocity[-1] ** 2), jnp.mean(state.rotation.velocity**2)
+    v2, w2 = jnp.mean(state.velocity[-1, 1:] ** 2), jnp.mean(state.rotation.velocity[0, 1:] ** 2)
     return {"T": dpd.temperature(fluid, state), "v2": v2 * mass / fluid.kT / (1 - share), "w2": w2 * inertia / fluid.kT}
 
 
-def readings(case: Case, run, share) -> dict:
+def readings(case: Case, run) -> dict:
     """What a piece says: driven cases by their drift, all of them by their fluctuations across it."""
     found = {name: float(np.mean(run.frames[name])) for name in ("T", "v2", "w2")}
     if case.force:
@@ -110,22 +122,16 @@ def readings(case: Case, run, share) -> dict:
     if case.torque:
         driven = dpd.driven_rotation(run, skip=0.0)
         found |= {"Dr_torque": driven.diffusion.value, "omega": driven.velocity.value}
-    still = at_rest(run)
+    # Motion across the drive, along y and z, is that of equilibrium: two of the three directions that D is the mean of.
+    across = lambda values: np.asarray(values, float) * np.array([0.0, 1.0, 1.0]) * math.sqrt(1.5)
+    still = dataclasses.replace(run, frames={name: across(run.frames[name]) for name in ("unwrapped", "velocity")})
+    spin, angle = across(run.frames["angular_velocity"]), across(angle_turned(run.frames["orientation"]))
     for method in ("msd", "vacf"):
         found[f"D_{method}"] = dpd.diffusion(still, species=1, method=method, fit=case.fit).value
-        found[f"Dr_{method}"] = dpd.rotational_diffusion(still, method=method, fit=case.fit).value
+    read = lambda values, *how: transport.read_diffusion(run, values, values.shape, *how, case.fit).value
+    found["Dr_vacf"] = read(spin, transport.autocorrelation, transport.green_kubo_integral)
+    found["Dr_msd"] = read(angle, transport.squared_displacement, transport.einstein)
     return found
-
-
-def at_rest(run):
-    """The run without its drift, which is that of the whole case to a part in a hundred: fluctuations are as in equilibrium."""
-    frames = dict(run.frames)
-    if hasattr(run.flow, "push"):
-        for name in ("velocity", "angular_velocity"):
-            frames[name] = frames[name] - frames[name].mean(axis=(0, 1), keepdims=True)
-        drift = np.diff(frames["unwrapped"], axis=1).mean(axis=(0, 1), keepdims=True)
-        frames["unwrapped"] = frames["unwrapped"] - drift * np.arange(frames["unwrapped"].shape[1])[None, :, None, None]
-    return dataclasses.replace(run, frames=frames)
 
 
 # ---------------------------------------------------------------------------- keeping pieces
@@ -222,10 +228,53 @@ def temperatures():
     return rows
 
 
+def marble():
+    """A marble of radius 3: diffusion from its drift, its displacement and its velocity; the table of pieces
+
+    D where the whole has no momentum. Drag: driven along x; displacement and velocity: along y and z in the same runs, or in
+    equilibrium. Theory: no slip, the bare radius and the viscosity measured above; the hydrodynamic radius is what no slip would
+    take. Errors are the scatter of pieces; a case of fewer than six is not shown.
+    """
+    found, rows = pieces(), []
+    eta = json.loads((rooms.HERE / "marbles.json").read_text())["viscosity"]["rows"][0]["value"][0]
+    for case in CASES:
+        lines = found[case.name]
+        if len(lines) < 6:
+            continue
+        steps = sum(float(line["particle_steps"]) for line in lines)
+        spent = sum(float(line["seconds"]) for line in lines)
+        theory = dpd.sphere_diffusion(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
+        turning = dpd.sphere_rotational_diffusion(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
+        cost = f"{len(lines)} pieces, {steps:.2g} particle-steps, {spent:.0f} s"
+        speed = reading(lines, "velocity")
+        Re = "" if speed is None else f"; Re {DENSITY * abs(speed.value) * RADIUS / eta:.2f}"
+        titles = {"D_drag": "D, drag", "D_msd": "D, displacement", "D_vacf": "D, velocity"}
+        for name, title in titles.items():
+            D = reading(lines, name)
+            if D is not None:
+                rows.append(row(title, case.name, D, theory, "no slip, radius 3", cost + Re if name == "D_drag" else ""))
+        if case.force:
+            radius = dpd.hydrodynamic_radius([case.box], [reading(lines, "D_drag")], kT=1.0, viscosity=eta)
+            rows.append(row("hydrodynamic radius", case.name, radius, "", "", "from the drag, this box alone"))
+        for name, title in {"Dr_torque": "D_r, torque", "Dr_msd": "D_r, angle", "Dr_vacf": "D_r, spin"}.items():
+            D = reading(lines, name)
+            if D is not None:
+                rows.append(row(title, case.name, D, turning, "no slip, radius 3"))
+        for name, title in {"T": "kinetic temperature", "v2": "M <v^2>/(1 - M/M_total)", "w2": "I <omega^2>"}.items():
+            rows.append(row(title, case.name, reading(lines, name), 1.0, "exact, up to O(dt)"))
+    several = [case for case in CASES if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")]
+    several = [case for case in several if len(found[case.name]) >= 6]
+    if len(several) > 1:
+        estimates = [reading(found[case.name], "D_drag") for case in several]
+        radius = dpd.hydrodynamic_radius([case.box for case in several], estimates, kT=1.0, viscosity=eta)
+        rows.append(row("hydrodynamic radius", ", ".join(case.name for case in several), radius, "", "", "from the drag"))
+    return rows
+
+
 HEADING = """# A marble at production accuracy
 
 Written by `python tests/physics/marbles.py`; do not edit. Reduced units, standard errors. Pieces: marbles.csv."""
-ROOMS = (viscosity, temperatures)
+ROOMS = (viscosity, temperatures, marble)
 
 
 def main():
