@@ -187,6 +187,16 @@ def test_forces_and_torques_equal_the_sum_over_all_pairs(marbled, settled, key):
     assert set(tally.virial) == {"conservative", "drag", "random", "surface", "contact"}
 
 
+def test_blocks_of_pairs_turn_as_the_whole_list(marbled, settled, key, monkeypatch):
+    go = lambda: jax.jit(lambda s: pair_force(marbled.fluid, s, s.velocity, 1.0, key, DT))(settled)
+    force, torque, _ = go()
+    monkeypatch.setattr(forces, "BLOCK", 100)
+    monkeypatch.setattr(forces, "BLOCKED_FROM", 101)
+    in_blocks, torque_in_blocks, _ = go()
+    np.testing.assert_allclose(in_blocks, force, atol=1e-9)
+    np.testing.assert_allclose(torque_in_blocks, torque, atol=1e-9)
+
+
 def test_pairs_of_marbles_act_on_each_other(settled):
     i, j = settled.neighbours[2].list.idx
     d = boxes.displacement(settled.box, settled.position[-2], settled.position[-1])
