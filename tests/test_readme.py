@@ -36,7 +36,7 @@ SMALLER = {
     "box=10.0, gamma_cs=5.0": "box=6.0, radius=1.0, gamma_cs=5.0",
     "Plan(20, 200)": "Plan(2, 10)",
     "Plan(2000, 20)": "Plan(60, 2)",
-    "fit=(15.0, 20.0)": "fit=(0.02, 0.08)",
+    "fit=(15.0, 20.0)": "fit=(0.003, 0.007)",
     "dpd.hydrodynamic_radius([10.0], [D]": "dpd.hydrodynamic_radius([10.0], [dpd.Estimate(0.005, D.error)]",
 }
 """The same lines at a size that suits a test."""
