@@ -29,6 +29,12 @@ def rub(h, *, gamma_cc, r_c):
     return gamma_cc * (1.0 - h / r_c) ** 2
 
 
+def relisted(state):
+    """The state with lists of where its beads are now."""
+    neighbours = tuple(lists.allocate(n.grid, state.box, state.position) for n in state.neighbours)
+    return dataclasses.replace(state, neighbours=neighbours)
+
+
 @pytest.fixture(scope="module")
 def marbled(key):
     """Three marbles that rub each other too, in a solvent with transverse drag; the smallest box that takes them."""
@@ -46,9 +52,7 @@ def settled(marbled, simulate, key):
     position[-1] = position[-2] + (2 * R + 0.2) * np.array([0.48, 0.6, 0.64])
     position = jnp.asarray(position)
     state = dataclasses.replace(marbled.state, position=boxes.wrap(marbled.state.box, position)[0])
-    state = dpd.grow(state)
-    neighbours = tuple(lists.allocate(n.grid, state.box, state.position) for n in state.neighbours)
-    state = dataclasses.replace(state, neighbours=neighbours)
+    state = relisted(dpd.grow(state))
     final = simulate(marbled.fluid, state, key, 1e-3, FORTY, FLOW).final
     assert final.status == 0
     return final
@@ -209,8 +213,7 @@ def test_angular_momentum_is_lost_by_the_arms_alone(marbled, settled, key):
     """The gain of angular momentum is ``sum (r_A - r_i) x F``, to rounding."""
     state = dataclasses.replace(settled, box=boxes.box(settled.box.lengths))
     state = dataclasses.replace(state, position=boxes.wrap(state.box, state.position)[0])
-    neighbours = tuple(lists.allocate(n.grid.grown(), state.box, state.position) for n in state.neighbours)
-    state = dataclasses.replace(state, neighbours=neighbours)
+    state = relisted(dpd.grow(state))
     force, torque, _ = pair_force(marbled.fluid, state, state.velocity, 0.0, key, DT)
     by_hand, _, residual = forces_by_hand(marbled.fluid, state, 0.0, key)
     i, j = np.triu_indices(state.n, 1)
@@ -244,8 +247,7 @@ def test_noise_has_the_covariance_of_its_friction(projector):
     state = dpd.initial_state(fluid, jax.random.key(0), box=3.0, n=2, skin=0.1)
     e = np.array([0.48, 0.6, 0.64])
     state = dataclasses.replace(state, position=jnp.asarray([1.0 + 0.4 * e, [1.0, 1.0, 1.0]]), velocity=jnp.zeros((2, 3)))
-    neighbours = tuple(lists.allocate(n.grid, state.box, state.position) for n in state.neighbours)
-    state = dataclasses.replace(state, neighbours=neighbours)
+    state = relisted(state)
     keys = jax.random.split(jax.random.key(1), 40_000)
     f = np.asarray(jax.jit(jax.vmap(lambda key: pair_force(fluid, state, state.velocity, 0.0, key, DT)[0][0]))(keys))
     along = np.outer(e, e)
@@ -302,8 +304,7 @@ def touching(key):
     position = jnp.array([[3.0, 3.0, 3.0], [3.0, 3.0, 5.3]])
     spins = dataclasses.replace(state.rotation, velocity=jnp.array([[2.0, -1.0, 0.5], [1.0, 2.0, -3.0]]))
     velocity = jnp.array([[0.3, 0.2, 0.1], [-0.3, -0.2, -0.1]])
-    neighbours = tuple(lists.allocate(n.grid, state.box, position) for n in state.neighbours)
-    return fluid, dataclasses.replace(state, position=position, velocity=velocity, rotation=spins, neighbours=neighbours)
+    return fluid, relisted(dataclasses.replace(state, position=position, velocity=velocity, rotation=spins))
 
 
 def order_of(outcome, steps, exact):
@@ -462,8 +463,7 @@ def test_the_stress_across_is_the_flux_of_momentum(key):
     state = dataclasses.replace(
         state, position=jnp.array([[1.0, 1.5, 1.0], [1.0, 1.0, 1.0]]), velocity=jnp.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
     )
-    neighbours = tuple(lists.allocate(n.grid, state.box, state.position) for n in state.neighbours)
-    state = dataclasses.replace(state, neighbours=neighbours)
+    state = relisted(state)
     force, _, tally = pair_force(fluid, state, state.velocity, 0.0, key, DT, tally=True)
     np.testing.assert_allclose(force, [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     np.testing.assert_allclose(tally.virial["drag"], [[0.0, -0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])

@@ -14,7 +14,7 @@ from dpdjax.checks import is_concrete
 from dpdjax.model.colloid_laws import morse
 from dpdjax.model.colloids import diffusion_time
 from dpdjax.model.fluid import Fluid, Interaction
-from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
+from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE
 
 REBUILD_COST = 1.0
 """One rebuild in units of one force pass over the same list (measured: tests/benchmarks)."""
@@ -125,7 +125,7 @@ def damping_rate(fluid: Fluid, density) -> float:
     for i in (i for i in fluid.interactions if not _is_between_colloids(fluid, i)):
         integrals = [(t.projector, _volume_integral(fluid, i, t)) for t in i.drag]
         friction = sum(DIRECTIONS[projector] * integral for projector, integral in integrals)
-        across = sum(2 * integral for projector, integral in integrals if projector != CENTRAL)
+        across = sum(2 * integral for projector, integral in integrals if projector in ACROSS)
         # Within one group both directions are the same.
         for mine, other in {i.groups, i.groups[::-1]}:
             rates[list(mine)] += friction * densities[list(other)].sum()
@@ -256,9 +256,10 @@ def _network_rate(fluid, interaction, sizes) -> float:
 
     Neighbours as heavy as it give way, which is in it: each pair's rate counts half.
     """
-    friction = lambda other: sum(_largest_friction(fluid, interaction, t, sizes) for t in interaction.drag if t.projector != other)
+    largest = lambda t: _largest_friction(fluid, interaction, t, sizes)
+    friction = lambda projectors: sum(largest(t) for t in interaction.drag if t.projector in projectors)
     mass, arm = _masses(fluid, interaction, sizes)[0], np.max(_arms(fluid)[list(interaction.groups[0])]) / sizes[0] ** 3
-    return CLOSE_NEIGHBOURS * max(friction(TRANSVERSE) / mass, friction(CENTRAL) * (1.0 / mass + arm))
+    return CLOSE_NEIGHBOURS * max(friction(ALONG) / mass, friction(ACROSS) * (1.0 / mass + arm))
 
 
 def _largest_friction(fluid, interaction, term, sizes) -> float:

@@ -10,7 +10,7 @@ from dpdjax.engine import noise
 from dpdjax.engine.batching import on_cpu
 from dpdjax.engine.state import Tally, radii
 from dpdjax.model.fluid import ORIGINS, Fluid, Interaction
-from dpdjax.model.term import CENTRAL, TRANSVERSE
+from dpdjax.model.term import ACROSS, ALONG
 
 BLOCK, BLOCKED_FROM = 65_536, 1_000_000
 """Pairs of a block, and of the smallest list worked on in blocks (measured: tests/benchmarks)."""
@@ -174,7 +174,7 @@ def central_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt)
     for origin, terms in by_origin(interaction.conservative, ORIGINS[0]).items():
         potential, forces[origin] = evaluate(terms, pairs, kT, derivative=True)
         energy = energy + potential
-    frictions, zeta = friction_by_origin(interaction, pairs, kT, TRANSVERSE)
+    frictions, zeta = friction_by_origin(interaction, pairs, kT, ALONG)
     for origin, friction in frictions.items():
         forces[origin] = forces.get(origin, 0.0) - friction * pairs.v
     xi = noise.pair_noise(words.step, *words.of_pairs(pairs), pairs.v.dtype.type)
@@ -183,7 +183,7 @@ def central_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt)
 
 def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt):
     """Forces perpendicular to ``e`` by origin, each by component: drag on ``across``, and its noise by the same projector."""
-    frictions, zeta = friction_by_origin(interaction, pairs, kT, CENTRAL)
+    frictions, zeta = friction_by_origin(interaction, pairs, kT, ACROSS)
     forces = {origin: tuple(-friction * u for u in pairs.across) for origin, friction in frictions.items()}
     xi = noise.pair_vector(words.vector, *words.of_pairs(pairs), pairs.v.dtype.type)
     along = sum(x * e for x, e in zip(xi, pairs.e))
@@ -191,9 +191,9 @@ def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, 
     return forces | {ORIGINS[2]: tuple(strength * (x - along * e) for x, e in zip(xi, pairs.e))}
 
 
-def friction_by_origin(interaction: Interaction, pairs: Pairs, kT, other: str):
-    """Frictions by origin, those with the projector ``other`` left out, and the sum that the noise follows from."""
-    among = lambda terms: [t for t in terms if t.projector != other]
+def friction_by_origin(interaction: Interaction, pairs: Pairs, kT, projectors: tuple):
+    """Frictions by origin of the terms with one of the projectors, and the sum that the noise follows from."""
+    among = lambda terms: [t for t in terms if t.projector in projectors]
     frictions = {
         origin: evaluate(among(terms), pairs, kT, derivative=False)
         for origin, terms in by_origin(interaction.drag, ORIGINS[1]).items()

@@ -90,14 +90,12 @@ def marbles(
     free = volume - float(sphere_volume(radii).sum())
     if free <= 0:
         raise ValueError(f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; use a larger box")
-    centres = packing.pack(key, space, radii)
     wall = {name: float(np.max(fluid.interactions[1].conservative[0].coefficients[name])) for name in ("r_0", "sigma")}
     # Outside the wall, where its energy is at most epsilon.
     clearance = max(0.0, wall["r_0"] + wall["sigma"] - float(radius)) * (1 + 1e-6)
-    beads = packing.fill(key, space, centres, radii, math.floor(float(density) * free * (1 + 1e-9)), clearance=clearance)
-    counts = (len(beads), int(count))
+    counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
+    position = packing.arrange(key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance)
     dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
-    position = np.concatenate([np.asarray(beads), np.asarray(centres)])
     made = Marbles(fluid, placed(fluid, key, space, position, counts, skin=skin, dt=dt, sheared=sheared), dt)
     if report is not None:
         report(str(made))

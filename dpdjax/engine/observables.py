@@ -56,17 +56,20 @@ def temperature(fluid, state):
 
 def rotational_temperature(fluid, state):
     """``sum I omega^2 / 3 m`` of the m beads that rotate [energy]; ValueError where none does."""
-    if state.rotation is None:
-        raise ValueError("no bead of this state rotates; give a species an inertia, dpd.fluid(..., inertia=...)")
-    return jnp.mean(inertias(fluid, state)[:, None] * state.rotation.velocity**2)
+    turning = _rotation(state)
+    return jnp.mean(inertias(fluid, state)[:, None] * turning.velocity**2)
 
 
 def rotations(fluid, state) -> dict:
     """Angular velocities, torques and orientations of the beads that rotate; ValueError where none does."""
+    turning = _rotation(state)
+    return {"angular_velocity": turning.velocity, "torque": turning.torque, "orientation": turning.orientation}
+
+
+def _rotation(state):
     if state.rotation is None:
         raise ValueError("no bead of this state rotates; give a species an inertia, dpd.fluid(..., inertia=...)")
-    turning = state.rotation
-    return {"angular_velocity": turning.velocity, "torque": turning.torque, "orientation": turning.orientation}
+    return state.rotation
 
 
 def momentum(fluid, state):

@@ -80,6 +80,18 @@ def pack(key, box: boxes.Box, radius, *, gap: float | None = None):
     return position
 
 
+def arrange(key, box: boxes.Box, radius, *, clearance: float = 0.0):
+    """Positions (n, 3) of beads of radii (n,), 0 for points: :func:`pack` of the spheres, and :func:`fill` for the points."""
+    radius = np.asarray(radius, float)
+    is_sphere = radius > 0
+    position = np.zeros((len(radius), 3), box.lengths.dtype)
+    position[is_sphere] = pack(key, box, radius[is_sphere])
+    if not np.all(is_sphere):
+        count = int(np.sum(~is_sphere))
+        position[~is_sphere] = fill(key, box, position[is_sphere], radius[is_sphere], count, clearance=clearance)
+    return position
+
+
 def fill(key, box: boxes.Box, centres, radius, count: int, *, clearance: float = 0.0):
     """Points at random in the room that spheres leave in a periodic box.
 

@@ -44,8 +44,9 @@ class Recorder:
 
 
 def averaged(how: list[Recorder], fluid, state) -> tuple[str, ...]:
-    """Names of what is recorded as a mean over its frame's interval."""
-    return tuple(name for r in how if r.how == "mean" for name in jax.eval_shape(r.now, fluid, state))
+    """Names of what is recorded as a mean over its frame's interval, of one state or a batch."""
+    of = lambda now: jax.vmap(now, (fluid.batch_axes(), 0)) if state.position.ndim == 3 else now
+    return tuple(name for r in how if r.how == "mean" for name in jax.eval_shape(of(r.now), fluid, state))
 
 
 def mean(observe: Callable) -> Recorder:

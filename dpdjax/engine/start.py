@@ -158,13 +158,7 @@ def _spheres_and_points(fluid, key, box, counts):
     """Positions (n, 3) in the order of the species."""
     if not is_concrete(key):
         raise ValueError("spheres are packed outside jit and vmap: build such states one by one, and stack them")
-    radius = np.repeat([0.0 if r is None else float(r) for r in fluid.radius], counts)
-    is_sphere = radius > 0
-    position = np.zeros((len(radius), 3), box.lengths.dtype)
-    position[is_sphere] = packing.pack(key, box, radius[is_sphere])
-    if not np.all(is_sphere):
-        position[~is_sphere] = packing.fill(key, box, position[is_sphere], radius[is_sphere], int(np.sum(~is_sphere)))
-    return jnp.asarray(position)
+    return jnp.asarray(packing.arrange(key, box, np.repeat([0.0 if r is None else float(r) for r in fluid.radius], counts)))
 
 
 def _lattice(n, lengths):

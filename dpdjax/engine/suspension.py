@@ -123,15 +123,13 @@ def suspension(
     fluid = colloid_fluid(radius=mean, density=density, **numbers)
     positive(fluid.kT, "kT", "without it there is no diffusion time to tell results in")
     space, volume = boxes.box(lengths), float(np.prod(lengths))
-    centres = packing.pack(key, space, radii)
     placed_phi = float(sphere_volume(radii).sum()) / volume
     # Of drawn radii the fraction is not quite the wanted one, of equal ones it is but for whole colloids.
     solvents = math.floor(density * (1.0 - (placed_phi if np.ptp(radii) else phi)) * volume * (1 + 1e-9))
-    beads = packing.fill(key, space, centres, radii, solvents)
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
     dt = suggest_dt(fluid, np.asarray(counts) / volume, (size.min(), size.max())) if dt is None else float(dt)
-    position = np.concatenate([np.asarray(beads), np.asarray(centres)])
+    position = packing.arrange(key, space, np.concatenate([np.zeros(solvents), radii]))
     state = placed(fluid, key, space, position, counts, size=size, skin=skin, dt=dt, sheared=sheared)
     made = Suspension(fluid, state, placed_phi, float(diffusion_time(fluid)), dt)
     if report is not None:

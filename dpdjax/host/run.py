@@ -59,7 +59,7 @@ def run(
     state = complete_lists(state)
     _refuse(fluid, state, key)
     observe = tuple(recorders(observe))
-    numbers = (fluid, dt, flow, _averaged(observe, fluid, state))
+    numbers = (fluid, dt, flow, averaged(observe, fluid, state))
 
     pieces, done = [], 0
     size = chunk_frames(plan, int(np.prod(state.position.shape[:-1])))
@@ -121,14 +121,6 @@ def _refuse(fluid, state, key):
     trouble = bits.describe(check(fluid, state))
     if trouble:
         raise ValueError(trouble)
-
-
-def _averaged(how, fluid, state) -> tuple[str, ...]:
-    """:func:`dpdjax.engine.record.averaged` of one state, or of a batch."""
-    names = []
-    observe = lambda fluid, state: names.extend(averaged(how, fluid, state)) or 0
-    jax.eval_shape(jax.vmap(observe, (fluid.batch_axes(), 0)) if state.position.ndim == 3 else observe, fluid, state)
-    return tuple(names)
 
 
 def _trajectory(state, pieces, numbers, plan, complete):

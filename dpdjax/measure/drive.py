@@ -8,7 +8,7 @@ import numpy as np
 from dpdjax.engine.flow import Drive
 from dpdjax.measure.statistics import Estimate, block_average
 from dpdjax.measure.structure import chosen_beads, of_beads, recorded, species_of
-from dpdjax.measure.transport import frame_interval
+from dpdjax.measure.transport import bead_masses, frame_interval
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,9 +78,7 @@ def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Drive
 
 def driven_share(trajectory) -> float:
     """The part of the whole mass that is driven."""
-    final = trajectory.final
-    species, size = (np.asarray(x).reshape(-1, final.n)[0] for x in (final.species, final.size))
-    mass = np.asarray(trajectory.fluid.mass, float).reshape(-1, trajectory.fluid.species)[0][species] * size**3
+    mass, species = bead_masses(trajectory)[0], species_of(trajectory)
     return float(mass[species == trajectory.flow.species].sum() / mass.sum())
 
 

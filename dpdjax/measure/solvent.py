@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dpdjax.engine.state import radii
-from dpdjax.measure.spheres import Frame, shift_of, with_images
+from dpdjax.measure.spheres import frame_of, shift_of, with_images
 
 
 def solvent_density(fluid, state, *, clearance: float = 0.8, probe: float = 0.5, points: int = 20_000, seed: int = 0) -> float:
@@ -29,18 +29,12 @@ def solvent_density(fluid, state, *, clearance: float = 0.8, probe: float = 0.5,
     radius = np.asarray(radii(fluid, state), float)
     shift = shift_of(float(state.box.strain), lengths)
     trial = np.random.default_rng(seed).random((points, 3)) * lengths
-    for R in np.unique(radius[radius > 0]):
-        reach = R + clearance + probe
-        trial = trial[_tree(position[radius == R], lengths, shift, reach).query(trial, distance_upper_bound=reach)[0] >= reach]
+    frame = lambda beads: frame_of(position[beads], radius[beads], lengths, shift)
+    colloids, reach = frame(radius > 0), radius[radius > 0] + clearance + probe
+    centres, owner = with_images(colloids, reach.max(initial=0.0))
+    taken = cKDTree(trial).query_ball_point(centres, reach[owner]) if len(reach) else []
+    trial = np.delete(trial, np.unique([k for near in taken for k in near]).astype(int), axis=0)
     if not len(trial):
         raise ValueError(f"no point is {clearance + probe:g} away from all colloids; take a smaller clearance or probe")
-    counts = _tree(position[radius == 0], lengths, shift, probe).query_ball_point(trial, probe, return_length=True)
+    counts = cKDTree(with_images(frame(radius == 0), probe)[0]).query_ball_point(trial, probe, return_length=True)
     return float(np.mean(counts) / (4 / 3 * np.pi * probe**3))
-
-
-def _tree(position, lengths, shift, reach) -> cKDTree:
-    """Beads and their images around the box."""
-    x = position.copy()
-    x[:, 0] -= shift * np.floor(x[:, 1] / lengths[1])
-    wrapped = x - lengths * np.floor(x / lengths)
-    return cKDTree(with_images(Frame(wrapped, np.zeros(len(x)), lengths, shift), reach)[0])

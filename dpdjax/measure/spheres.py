@@ -157,9 +157,14 @@ def frames_of(what: Spheres, member: int):
     """The frames of one member."""
     lengths = what.lengths
     for position, shift in zip(what.position[member], shift_of(what.strain[member], lengths)):
-        x = np.array(position, float)
-        x[:, 0] -= shift * np.floor(x[:, 1] / lengths[1])
-        yield Frame(x - lengths * np.floor(x / lengths), what.radius[member], lengths, shift)
+        yield frame_of(position, what.radius[member], lengths, shift)
+
+
+def frame_of(position, radius, lengths, shift) -> Frame:
+    """The configuration with its beads brought into the box."""
+    x = np.array(position, float)
+    x[:, 0] -= shift * np.floor(x[:, 1] / lengths[1])
+    return Frame(x - lengths * np.floor(x / lengths), radius, lengths, shift)
 
 
 def by_frame(what: Spheres, measure) -> np.ndarray:

@@ -219,16 +219,17 @@ def _relative(trajectory, values, species):
     if values.shape[2] < len(species_of(trajectory)):
         yield from of_beads(values, trajectory, beads).astype(float)
         return
-    for member, mass in zip(values, _masses(trajectory, len(values))):
+    of_members = np.broadcast_to(bead_masses(trajectory), (len(values), values.shape[2]))
+    for member, mass in zip(values, of_members):
         yield _without_drift(member, mass)[:, beads]
 
 
-def _masses(trajectory, batch):
-    """Mass of each bead in each member, (batch, n)."""
+def bead_masses(trajectory):
+    """Mass of each bead in each member, (batch, n), or of all, (1, n)."""
     mass = np.asarray(trajectory.fluid.mass, float)
     mass = mass.reshape(-1, mass.shape[-1])[:, species_of(trajectory)]
     size = np.asarray(trajectory.final.size, float).reshape(-1, mass.shape[1])
-    return np.broadcast_to(mass * size**3, (batch, mass.shape[1]))
+    return mass * size**3
 
 
 def _without_drift(values, mass):

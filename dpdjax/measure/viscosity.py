@@ -107,7 +107,7 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
     frames = _later(trajectory, skip, need="flux")
     dt, volume, kT = _constants(trajectory)
     lags = max(1, round(window / (dt * trajectory.every)))
-    early, late = _traceless(frames["reversed_flux"]), _traceless(frames["flux"])
+    early, late = _irreducible(frames["reversed_flux"]), _irreducible(frames["flux"])
     delayed = []
     for k in _pieces(early.shape, blocks, lags):
         correlation = _correlate(early[k], late[k], lags)
@@ -142,7 +142,7 @@ def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: flo
     dt, volume, kT = _constants(trajectory)
     interval = dt * trajectory.every
     first, last = round(start / interval), max(round(window / interval), round(start / interval) + 1)
-    jumps = _traceless(frames["flux_integral"])
+    jumps = _irreducible(frames["flux_integral"])
     slopes = []
     for k in _pieces(jumps.shape, blocks, last):
         walk = np.concatenate([np.zeros_like(jumps[k][:1]), np.cumsum(jumps[k], axis=0)])
@@ -255,7 +255,7 @@ def _constants(trajectory):
     return _shared(trajectory.dt), float(lengths.prod()), _shared(trajectory.fluid.kT)
 
 
-def _traceless(tensors):
+def _irreducible(tensors):
     """Symmetric traceless and antisymmetric parts as 18 numbers, scaled so that their products sum to one P_xy P_xy.
 
     By isotropy P_xy P_xy is a tenth of the sum over all nine products of the former, and a sixth of that of the latter,

@@ -18,6 +18,8 @@ RESERVED = ("kinetic", "conservative", "drag", "random", "tensor")
 CENTRAL, TRANSVERSE, FULL = "central", "transverse", "full"
 PROJECTORS = (CENTRAL, TRANSVERSE, FULL)
 """What part of the relative velocity of two surfaces a friction acts on: along the line of centres, across it, all of it."""
+ALONG, ACROSS = (CENTRAL, FULL), (TRANSVERSE, FULL)
+"""Those that act along the line of centres, and those that act across it."""
 
 
 def reaches(function: Callable):

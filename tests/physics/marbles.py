@@ -1,12 +1,12 @@
 """Physics of a marble at production accuracy: grows marbles.csv piece by piece, and writes MARBLES.md from it.
 
-    python tests/physics/marbles.py viscosity temperatures    # what the rest is set beside: an hour
+    python tests/physics/marbles.py viscosity temperatures schmidt    # what the rest is set beside: an hour
     python tests/physics/marbles.py run --minutes 30          # more pieces, where errors are furthest from their targets
     python tests/physics/marbles.py run --minutes 30 --worker 1 --workers 2
     python tests/physics/marbles.py marble                    # the table of what there is
 
-Every piece is a batch of replicas of its own, so pieces can be made by several workers, machines and sessions. Single
-precision, as users run. Solvent of Zhou & Schmid (2015): a 0, gamma 5, kT 1, density 3; marble of radius 3.
+Every piece is a replica of its own, so pieces can be made by several workers, machines and sessions. Single precision, as
+users run. Solvent of Zhou & Schmid (2015): a 0, gamma 5, kT 1, density 3; marble of radius 3.
 """
 
 import argparse
@@ -32,10 +32,12 @@ from dpdjax.measure.rotation import angle_turned
 from dpdjax.measure.statistics import Estimate, block_average
 
 KEY = jax.random.key(2026)
-DT, RADIUS, DENSITY = 0.006, 3.0, 3.0
+DT, RADIUS, DENSITY = 0.01, 3.0, 3.0
 EVERY = 10
-REPLICAS = 4
-"""Of a piece."""
+LENGTH = 600.0
+"""Time that a piece runs."""
+FEWEST = 6
+"""Pieces whose scatter is an error."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,13 +63,8 @@ class Case:
 
     @property
     def settle(self) -> float:
-        """Time a replica settles: five lives of the slowest wave."""
-        return 0.3 * self.box**2
-
-    @property
-    def length(self) -> float:
-        """Time a replica runs."""
-        return 1.5 * self.box**2
+        """Time a piece settles: three lives of the slowest wave."""
+        return 0.2 * self.box**2
 
 
 CASES = (
@@ -83,25 +80,28 @@ CASES = (
 )
 TABLE = rooms.HERE / "marbles.csv"
 READINGS = ("D_drag", "D_msd", "D_vacf", "Dr_torque", "Dr_msd", "Dr_vacf", "velocity", "omega", "T", "v2", "w2")
-COLUMNS = ("case", "piece", *READINGS, "dt", "time", "replicas", "beads", "particle_steps", "seconds", "commit", "device", "date")
+TITLES = {
+    "D_drag": "D, drag", "D_msd": "D, displacement", "D_vacf": "D, velocity",
+    "Dr_torque": "D_r, torque", "Dr_msd": "D_r, angle", "Dr_vacf": "D_r, spin",
+    "T": "kinetic temperature", "v2": "M <v^2>/(1 - M/M_total)", "w2": "I <omega^2>",
+}  # fmt: skip
+"""Of the readings that make a row."""
+COLUMNS = ("case", "piece", *READINGS, "dt", "time", "beads", "particle_steps", "seconds", "commit", "device", "date")
 
 
 def piece(case: Case, number: int) -> dict:
-    """One piece of a case: a batch of replicas, settled and run."""
+    """One piece of a case: a box of its own, settled and run."""
     began = time.monotonic()
-    keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(KEY, 1 + CASES.index(case)), number), REPLICAS)
-    made = [dpd.marbles(key, box=case.box, gamma_cs=case.gamma_cs, dt=DT, report=None) for key in keys]
-    state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[m.state for m in made])
-    fluid, plan = made[0].fluid, lambda length: dpd.Plan(round(length / DT / EVERY), EVERY)
-    settled = dpd.run(fluid, state, keys, DT, plan(case.settle), case.flow, progress=False).final
+    key = jax.random.fold_in(jax.random.fold_in(KEY, 1 + CASES.index(case)), number)
+    made = dpd.marbles(key, box=case.box, gamma_cs=case.gamma_cs, dt=DT, report=None)
+    plan = lambda length: dpd.Plan(round(length / DT / EVERY), EVERY)
     observe = [dpd.positions_of(1), dpd.rotations, dpd.mean(thermal)]
-    run = dpd.run(fluid, settled, keys, DT, plan(case.length), case.flow, observe=observe, progress=False)
+    go = lambda state, length: dpd.run(made.fluid, state, key, DT, plan(length), case.flow, observe=observe, progress=False)
+    run = go(go(made.state, case.settle).final, LENGTH)
     return {
-        "case": case.name, "piece": number, **readings(case, run),
-        "dt": DT, "time": case.length * REPLICAS, "replicas": REPLICAS, "beads": made[0].state.n,
-        "particle_steps": round((case.settle + case.length) / DT) * REPLICAS * made[0].state.n,
-        "seconds": round(time.monotonic() - began), "commit": commit(), "device": device(),
-        "date": datetime.date.today().isoformat(),
+        "case": case.name, "piece": number, **readings(case, run), "dt": DT, "time": LENGTH, "beads": made.state.n,
+        "particle_steps": round((case.settle + LENGTH) / DT) * made.state.n, "seconds": round(time.monotonic() - began),
+        "commit": commit(), "device": device(), "date": datetime.date.today().isoformat(),
     }  # fmt: skip
 
 
@@ -123,7 +123,8 @@ def readings(case: Case, run) -> dict:
         driven = dpd.driven_rotation(run, skip=0.0)
         found |= {"Dr_torque": driven.diffusion.value, "omega": driven.velocity.value}
     # Motion across the drive, along y and z, is that of equilibrium: two of the three directions that D is the mean of.
-    across = lambda values: np.asarray(values, float) * np.array([0.0, 1.0, 1.0]) * math.sqrt(1.5)
+    axes = np.sqrt([0.0, 1.5, 1.5] if case.flow else [1.0, 1.0, 1.0])
+    across = lambda values: np.asarray(values, float) * axes
     still = dataclasses.replace(run, frames={name: across(run.frames[name]) for name in ("unwrapped", "velocity")})
     spin, angle = across(run.frames["angular_velocity"]), across(angle_turned(run.frames["orientation"]))
     for method in ("msd", "vacf"):
@@ -176,7 +177,7 @@ def reading(lines: list[dict], name: str) -> Estimate | None:
 
 def need(case: Case, lines: list[dict]) -> float:
     """How far the error of a case is from its target; infinite for too few pieces to tell."""
-    if len(lines) < 6:
+    if len(lines) < FEWEST:
         return 1e6 / (1 + len(lines))
     found = reading(lines, "D_drag" if case.force else "D_msd")
     return found.error / abs(found.value) / case.target
@@ -229,6 +230,35 @@ def temperatures():
     return rows
 
 
+def schmidt():
+    """Transverse drag in the solvent: the Schmidt number
+
+    Drag across the line of centres beside gamma 5 along it, at kT 1 and density 3. D is the large system's: that of a box of
+    side 10 and 2.837 kT/(6 pi eta 10).
+    """
+    rows = []
+    for gamma_t in (0.0, 5.0, 20.0):
+        drag = [dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0), dpd.term(dpd.transverse_drag, gamma_t=gamma_t, r_c=1.0)]
+        fluid, where = dpd.fluid(drag=drag, kT=1.0), f"gamma_t {gamma_t:g}, dt 0.005"
+        eta = dpd.measure_viscosity(fluid, key=KEY, density=DENSITY, tolerance=0.02, dt=0.005).estimate
+        state = dpd.initial_state(fluid, KEY, box=10.0, density=DENSITY, dt=0.005)
+        state = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(20, 100), progress=False).final
+        observe = [dpd.positions, dpd.mean(lambda fluid, state: {"T": dpd.temperature(fluid, state)})]
+        run = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(600, 50), observe=observe, progress=False)
+        box = dpd.diffusion(run, fit=(5.0, 10.0))
+        D = Estimate(box.value + 2.837297 / (6 * math.pi * eta.value * 10), box.error, box.blocks)
+        ratio = eta.value / (DENSITY * D.value)
+        error = ratio * math.hypot(eta.error / eta.value, D.error / D.value)
+        rows += [
+            row("kinetic temperature", where, block_average(run.frames["T"]), 1.0, "exact, up to O(dt)"),
+            row("viscosity, shear", where, eta),
+            row("D of a solvent bead", where, D),
+            row("Schmidt number, eta/(rho D)", where, Estimate(ratio, error, D.blocks)),
+        ]
+        print(*map(rooms.text, rows[-4:]), sep="\n", flush=True)
+    return rows
+
+
 def marble():
     """A marble of radius 3: diffusion from its drift, its displacement and its velocity; the table of pieces
 
@@ -240,7 +270,7 @@ def marble():
     eta = json.loads((rooms.HERE / "marbles.json").read_text())["viscosity"]["rows"][0]["value"][0]
     for case in CASES:
         lines = found[case.name]
-        if len(lines) < 6:
+        if len(lines) < FEWEST:
             continue
         steps = sum(float(line["particle_steps"]) for line in lines)
         spent = sum(float(line["seconds"]) for line in lines)
@@ -249,22 +279,17 @@ def marble():
         cost = f"{len(lines)} pieces, {steps:.2g} particle-steps, {spent:.0f} s"
         speed = reading(lines, "velocity")
         Re = "" if speed is None else f"; Re {DENSITY * abs(speed.value) * RADIUS / eta:.2f}"
-        titles = {"D_drag": "D, drag", "D_msd": "D, displacement", "D_vacf": "D, velocity"}
-        for name, title in titles.items():
-            D = reading(lines, name)
-            if D is not None:
-                rows.append(row(title, case.name, D, theory, "no slip, radius 3", cost + Re if name == "D_drag" else ""))
+        expected = {"D, ": (theory, "no slip, radius 3"), "D_r": (turning, "no slip, radius 3")}
+        for name, title in TITLES.items():
+            found_here = reading(lines, name)
+            if found_here is not None:
+                note = cost + Re if title == "D, displacement" else ""
+                rows.append(row(title, case.name, found_here, *expected.get(title[:3], (1.0, "exact, up to O(dt)")), note))
         if case.force:
             radius = dpd.hydrodynamic_radius([case.box], [reading(lines, "D_drag")], kT=1.0, viscosity=eta)
             rows.append(row("hydrodynamic radius", case.name, radius, "", "", "from the drag, this box alone"))
-        for name, title in {"Dr_torque": "D_r, torque", "Dr_msd": "D_r, angle", "Dr_vacf": "D_r, spin"}.items():
-            D = reading(lines, name)
-            if D is not None:
-                rows.append(row(title, case.name, D, turning, "no slip, radius 3"))
-        for name, title in {"T": "kinetic temperature", "v2": "M <v^2>/(1 - M/M_total)", "w2": "I <omega^2>"}.items():
-            rows.append(row(title, case.name, reading(lines, name), 1.0, "exact, up to O(dt)"))
     several = [case for case in CASES if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")]
-    several = [case for case in several if len(found[case.name]) >= 6]
+    several = [case for case in several if len(found[case.name]) >= FEWEST]
     if len(several) > 1:
         estimates = [reading(found[case.name], "D_drag") for case in several]
         radius = dpd.hydrodynamic_radius([case.box for case in several], estimates, kT=1.0, viscosity=eta)
@@ -275,7 +300,7 @@ def marble():
 HEADING = """# A marble at production accuracy
 
 Written by `python tests/physics/marbles.py`; do not edit. Reduced units, standard errors. Pieces: marbles.csv."""
-ROOMS = (viscosity, temperatures, marble)
+ROOMS = (viscosity, temperatures, schmidt, marble)
 
 
 def main():

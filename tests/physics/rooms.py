@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 import dpdjax as dpd
 from dpdjax.measure.statistics import Estimate
@@ -47,6 +48,11 @@ def measure(rooms, names, data: str, page: str, heading: str):
         file.write_text(json.dumps(results, indent=1) + "\n")
         (HERE / page).write_text(table(rooms, results, heading))
         print(f"{room.__name__}: {results[room.__name__]['seconds']} s", *map(text, rows), sep="\n  ", flush=True)
+
+
+def stacked(states):
+    """A batch of states whose lists have one capacity."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
 
 
 def title_and_text(room) -> tuple[str, str]:

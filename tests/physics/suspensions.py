@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import rooms
-from rooms import row
+from rooms import row, stacked
 from scipy.interpolate import CubicSpline
 
 import dpdjax as dpd
@@ -137,7 +137,7 @@ def diffusion():
     keys = jax.random.split(jax.random.fold_in(KEY, 1), count)
     made = [dpd.suspension(k, phi=0.05, box=side, report=None, sheared=False, dt=1.4e-3) for k in keys]
     fluid, dt = made[0].fluid, 1.4e-3
-    state = _stacked([m.state for m in made])
+    state = stacked([m.state for m in made])
     state = go(fluid, state, keys, dt, 30.0, 100).final
     run = go(fluid, state, keys, dt, 240.0, 250, observe=[dpd.positions_of(1), dpd.mean(by_species)])
     D = dpd.diffusion(run, species=1, fit=(10.0, 30.0))
@@ -157,11 +157,6 @@ def diffusion():
         row("D over slip, kT/(4 pi eta R)", where, infinite.scaled(1 / slip), 1.0, "Stokes-Einstein, full slip"),
         row("colloid temperature over kT", where, block_average(run.frames["colloid"] / KT), 1.0, "exact, up to O(dt)"),
     ]
-
-
-def _stacked(states):
-    """A batch of states whose lists are made as large as the largest."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
 
 
 def _solvent(state, fluid, keys, gamma=4.5, tolerance=0.02):
@@ -289,7 +284,7 @@ def separation(fluid, state):
 def _gaps_of_pairs(fluid, count, side, solvents, h, dt, total):
     """Gaps over time (boxes, frames) of two colloids that cannot part, in several boxes."""
     keys = jax.random.split(jax.random.fold_in(KEY, 5), count)
-    state = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[_pair_in_solvent(fluid, k, side, solvents, h, dt) for k in keys])
+    state = stacked([_pair_in_solvent(fluid, k, side, solvents, h, dt) for k in keys])
     state = go(fluid, state, keys, dt, 20.0, 50).final
     return go(fluid, state, keys, dt, total, 20, observe=separation).frames["h"]
 
