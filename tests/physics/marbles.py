@@ -106,10 +106,11 @@ def piece(case: Case, number: int) -> dict:
 
 
 def thermal(fluid, state):
-    """Kinetic temperatures: of all beads; of the marble's velocity and spin across the drive, over what they should be."""
-    mass, inertia, rest = fluid.mass[1], fluid.inertia[1], fluid.mass[0] * (state.n - 1)
-    share = mass / (mass + rest)
-    v2, w2 = jnp.mean(state.velocity[-1, 1:] ** 2), jnp.mean(state.rotation.velocity[0, 1:] ** 2)
+    """Kinetic temperatures: of all beads; of the marbles' velocity and spin across the drive, over what they should be."""
+    marbles = len(state.rotation.velocity)
+    mass, inertia, rest = fluid.mass[1], fluid.inertia[1], fluid.mass[0] * (state.n - marbles)
+    share = mass / (marbles * mass + rest)
+    v2, w2 = jnp.mean(state.velocity[-marbles:, 1:] ** 2), jnp.mean(state.rotation.velocity[:, 1:] ** 2)
     return {"T": dpd.temperature(fluid, state), "v2": v2 * mass / fluid.kT / (1 - share), "w2": w2 * inertia / fluid.kT}
 
 
@@ -124,14 +125,18 @@ def readings(case: Case, run) -> dict:
         found |= {"Dr_torque": driven.diffusion.value, "omega": driven.velocity.value}
     # Motion across the drive, along y and z, is that of equilibrium: two of the three directions that D is the mean of.
     axes = np.sqrt([0.0, 1.5, 1.5] if case.flow else [1.0, 1.0, 1.0])
-    across = lambda values: np.asarray(values, float) * axes
-    still = dataclasses.replace(run, frames={name: across(run.frames[name]) for name in ("unwrapped", "velocity")})
-    spin, angle = across(run.frames["angular_velocity"]), across(angle_turned(run.frames["orientation"]))
-    for method in ("msd", "vacf"):
-        found[f"D_{method}"] = dpd.diffusion(still, species=1, method=method, fit=case.fit).value
-    read = lambda values, *how: transport.read_diffusion(run, values, values.shape, *how, case.fit).value
-    found["Dr_vacf"] = read(spin, transport.autocorrelation, transport.green_kubo_integral)
-    found["Dr_msd"] = read(angle, transport.squared_displacement, transport.einstein)
+    interval = transport.frame_interval(run)
+    time = interval * np.arange(round(case.fit[1] / interval) + 1)
+    named = {"D": (run.frames["unwrapped"], run.frames["velocity"])}
+    named["Dr"] = angle_turned(run.frames["orientation"]), run.frames["angular_velocity"]
+    ways = {
+        "msd": (transport.squared_displacement, transport.einstein),
+        "vacf": (transport.autocorrelation, transport.green_kubo_integral),
+    }
+    for name, both in named.items():
+        for values, (way, (correlate, read)) in zip(both, ways.items()):
+            curve = correlate(np.asarray(values, float) * axes, len(time) - 1)
+            found[f"{name}_{way}"] = float(read(time, curve[None], time >= case.fit[0])[0])
     return found
 
 
@@ -211,16 +216,14 @@ def viscosity():
 
 
 def temperatures():
-    """Temperatures of a marble of radius 1.5 and mass 30, kT 1"""
-    rows = []
+    """Temperatures of 20 marbles of radius 1 in a box of side 8, kT 1"""
+    rows, dt = [], 0.006
     for coupling in ("full", "transverse", "central"):
         for gamma_cs in (1.0, 5.0, 20.0):
-            light = dict(radius=1.5, mass=30.0, inertia=27.0)
-            made = dpd.marbles(KEY, box=6.0, gamma_cs=gamma_cs, coupling=coupling, skin=0.3, dt=0.005, report=None, **light)
-            keys = jax.random.split(KEY, 4)
-            state = dpd.run(made.fluid, made.state, keys, made.dt, dpd.Plan(20, 200), progress=False).final
-            run = dpd.run(made.fluid, state, keys, made.dt, dpd.Plan(1000, 150), observe=dpd.mean(thermal), progress=False)
-            where = f"{coupling}, gamma_cs {gamma_cs:g}, dt {made.dt:g}, {made.solvents} solvent beads, 4 boxes"
+            made = dpd.marbles(KEY, box=8.0, count=20, radius=1.0, gamma_cs=gamma_cs, coupling=coupling, dt=dt, report=None)
+            state = dpd.run(made.fluid, made.state, KEY, dt, dpd.Plan(20, 200), progress=False).final
+            run = dpd.run(made.fluid, state, KEY, dt, dpd.Plan(2000, 100), observe=dpd.mean(thermal), progress=False)
+            where = f"{coupling}, gamma_cs {gamma_cs:g}, dt {dt:g}, {made.solvents} solvent beads"
             names = {"T": "kinetic temperature of all beads", "v2": "M <v^2>/(1 - M/M_total)", "w2": "I <omega^2>"}
             for name, title in names.items():
                 if name != "w2" or coupling != "central":
