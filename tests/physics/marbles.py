@@ -72,7 +72,7 @@ CASES = (
     Case("L 10, gamma_cs 5, half the force", 10, 5, 3.5, 4.5, target=0.09),
     Case("L 10, gamma_cs 5, reaction on the others", 10, 5, 7.0, reaction="others", target=0.08),
     Case("L 10, gamma_cs 5, equilibrium", 10, 5, target=0.05),
-    Case("L 10, gamma_cs 1", 10, 1, 5.0, 6.0, target=0.05),
+    Case("L 10, gamma_cs 1", 10, 1, 4.0, 6.0, target=0.05),
     Case("L 10, gamma_cs 10", 10, 10, 7.0, 9.0, target=0.05),
     Case("L 10, gamma_cs 20", 10, 20, 7.0, 9.0, target=0.05),
     Case("L 15, gamma_cs 5", 15, 5, 4.0, 9.0, target=0.06),
