@@ -263,41 +263,47 @@ def schmidt():
 
 
 def marble():
-    """A marble of radius 3: diffusion from its drift, its displacement and its velocity; the table of pieces
+    """A marble of radius 3: diffusion from its drift, its displacement and its velocity
 
     D where the whole has no momentum. Drag: driven along x; displacement and velocity: along y and z in the same runs, or in
     equilibrium. Theory: no slip, the bare radius and the viscosity measured above; the hydrodynamic radius is what no slip would
-    take. Errors are the scatter of pieces; a case of fewer than six is not shown.
+    take. Errors are the scatter of pieces; a case of fewer than six is not shown. With the reaction on the others a force F
+    drives as F/(1 - M/M_total) does (Zhou & Schmid divide by it once more, for the velocity relative to the solvent); D is
+    corrected for it.
     """
-    found, rows = pieces(), []
+    found = {case: lines for case in CASES if len(lines := pieces()[case.name]) >= FEWEST}
     eta = json.loads((rooms.HERE / "marbles.json").read_text())["viscosity"]["rows"][0]["value"][0]
-    for case in CASES:
-        lines = found[case.name]
-        if len(lines) < FEWEST:
-            continue
-        steps = sum(float(line["particle_steps"]) for line in lines)
-        spent = sum(float(line["seconds"]) for line in lines)
-        theory = dpd.sphere_diffusion(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
-        turning = dpd.sphere_rotational_diffusion(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
-        cost = f"{len(lines)} pieces, {steps:.2g} particle-steps, {spent:.0f} s"
-        speed = reading(lines, "velocity")
-        Re = "" if speed is None else f"; Re {DENSITY * abs(speed.value) * RADIUS / eta:.2f}"
-        expected = {"D, ": (theory, "no slip, radius 3"), "D_r": (turning, "no slip, radius 3")}
-        for name, title in TITLES.items():
-            found_here = reading(lines, name)
-            if found_here is not None:
-                note = cost + Re if title == "D, displacement" else ""
-                rows.append(row(title, case.name, found_here, *expected.get(title[:3], (1.0, "exact, up to O(dt)")), note))
-        if case.force:
-            radius = dpd.hydrodynamic_radius([case.box], [reading(lines, "D_drag")], kT=1.0, viscosity=eta)
-            rows.append(row("hydrodynamic radius", case.name, radius, "", "", "from the drag, this box alone"))
-    several = [case for case in CASES if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")]
-    several = [case for case in several if len(found[case.name]) >= FEWEST]
+    rows = [line for case, lines in found.items() for line in _of_case(case, lines, eta)]
+    alike = [case for case in found if (case.box, case.gamma_cs) == (10, 5)]
+    together = [line for case in alike for line in found[case]]
+    rows += _of_readings(alike[0], "L 10, gamma_cs 5, all runs", together, eta, ("D_msd", "D_vacf", "Dr_msd", "Dr_vacf"))
+    several = [case for case in found if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")]
     if len(several) > 1:
-        estimates = [reading(found[case.name], "D_drag") for case in several]
+        estimates = [reading(found[case], "D_drag") for case in several]
         radius = dpd.hydrodynamic_radius([case.box for case in several], estimates, kT=1.0, viscosity=eta)
-        rows.append(row("hydrodynamic radius", ", ".join(case.name for case in several), radius, "", "", "from the drag"))
+        rows.append(row("hydrodynamic radius", ", ".join(case.name for case in several), radius, note="from the drag"))
     return rows
+
+
+def _of_case(case, lines, eta):
+    """The rows of one case, with what they cost and how fast the marble went."""
+    rows = _of_readings(case, case.name, lines, eta, TITLES)
+    steps = sum(float(line["particle_steps"]) for line in lines)
+    rows[0]["note"] = f"{len(lines)} pieces, {steps:.2g} particle-steps, {sum(float(line['seconds']) for line in lines):.0f} s"
+    if case.force:
+        Re = DENSITY * abs(reading(lines, "velocity").value) * RADIUS / eta
+        radius = dpd.hydrodynamic_radius([case.box], [reading(lines, "D_drag")], kT=1.0, viscosity=eta)
+        rows.append(row("hydrodynamic radius", case.name, radius, note=f"from the drag, this box alone; Re {Re:.2f}"))
+    return rows
+
+
+def _of_readings(case, where, lines, eta, names):
+    at = dict(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
+    beside = {name: (1.0, "exact, up to O(dt)") for name in names}
+    for kind, theory in (("D_", dpd.sphere_diffusion(**at)), ("Dr_", dpd.sphere_rotational_diffusion(**at))):
+        beside |= {name: (theory, "no slip, radius 3") for name in names if name.startswith(kind)}
+    estimates = {name: reading(lines, name) for name in names}
+    return [row(TITLES[name], where, value, *beside[name]) for name, value in estimates.items() if value is not None]
 
 
 HEADING = """# A marble at production accuracy

@@ -1,6 +1,7 @@
 """Judges the production measurements; run ``python -m pytest -m slow``.
 
-Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md or SUSPENSIONS.md.
+Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md, SUSPENSIONS.md or
+MARBLES.md. The drag of a marble is judged by the pieces of marbles.csv, which took hours.
 """
 
 import json
@@ -134,3 +135,32 @@ def test_free_pairs_follow_the_force_on_held_ones():
     """Within what the errors of both allow, 0.06 kT for the force integrated across the barrier."""
     for share, _ in suspended("free_pair").values():
         assert abs(share.value - 1) < 3 * (share.error**2 + 0.06**2) ** 0.5
+
+
+def rolled(room):
+    return measured(room, "marbles.py", "marbles.json")
+
+
+def test_marbles_and_solvent_have_one_temperature():
+    assert all(within(pair, 0.01) for pair in rolled("temperatures").values())
+
+
+def test_transverse_drag_thickens_a_solvent_at_its_temperature():
+    rows = rolled("schmidt")
+    assert all(within(pair, 0.01) for pair in by_quantity(rows, "kinetic temperature"))
+    for name in ("viscosity, shear", "Schmidt number, eta/(rho D)"):
+        numbers = [value for value, _ in by_quantity(rows, name)]
+        assert all(more.value - less.value > 3 * (more.error + less.error) for less, more in zip(numbers, numbers[1:]))
+
+
+def test_marbles_diffuse_as_spheres_whose_slip_is_tuned():
+    rows = rolled("marble")
+    D = {where: value for (name, where), (value, _) in rows.items() if name == "D, drag"}
+    pulled = D["L 10, gamma_cs 5"]
+    assert pulled.error < 0.04 * pulled.value and D["L 20, gamma_cs 5"].error < 0.08 * D["L 20, gamma_cs 5"].value
+    assert all(pulled.deviation(D[f"L 10, gamma_cs 5, {other}"]) < 3 for other in ("half the force", "reaction on the others"))
+    assert all(pulled.deviation(rows[f"D, {way}", "L 10, gamma_cs 5, all runs"][0]) < 3 for way in ("displacement", "velocity"))
+    few, many = D["L 10, gamma_cs 1"], D["L 10, gamma_cs 20"]
+    assert few.value - pulled.value > 3 * few.error and pulled.value > many.value - 3 * many.error
+    radius, _ = rows["hydrodynamic radius", "L 10, gamma_cs 5, L 15, gamma_cs 5, L 20, gamma_cs 5"]
+    assert 2.9 < radius.value < 3.4
