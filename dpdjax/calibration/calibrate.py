@@ -201,6 +201,8 @@ def measure_viscosity(
 
     Starts from nothing: equilibrates a batch of boxes, shears them and goes on until the
     error bar is met. Arguments as in :func:`calibrate`.
+
+    Returns a :class:`Measurement`, the viscosity in its ``estimate``.
     """
     began = time.monotonic()
     key = prng_key(key)

@@ -113,6 +113,10 @@ class Measurement:
     seconds: float = math.nan
     temperature: float = math.nan
 
+    def __str__(self):
+        cost = f"{self.particle_steps:.2g} particle-steps, {self.seconds:.0f} s"
+        return f"{self.estimate} ({cost}, dt {self.dt:.3g}, rate {self.rate:.3g})"
+
 
 def measure(bench: Bench, fluid, error: float, settle: float, most: int, report) -> Measurement:
     """Run until the mean of the goal has the wanted standard error.

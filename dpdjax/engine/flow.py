@@ -182,7 +182,9 @@ def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> 
         reaction: ``"all"`` takes the sum from all beads, the driven ones included, as one acceleration; ``"others"``
             from the others alone.
 
-    For a batch, give ``force`` or ``torque`` as (members, 3). Raises ValueError for an unknown reaction, or nothing to drive.
+    For a batch, give ``force`` or ``torque`` as (members, 3), such as ``strengths[:, None] * jnp.array([1.0, 0.0, 0.0])``.
+
+    Raises ValueError for an unknown reaction, or nothing to drive.
     """
     if reaction not in ("all", "others"):
         raise ValueError(f'reaction is {reaction!r}; it is "all" or "others"')

@@ -55,7 +55,7 @@ class Marbles:
                 f"marbles: radius {float(self.fluid.radius[COLLOID]):g}, mass {mass:.4g} ({100 * self.share:.3g} % of the whole), "
                 f"inertia {inertia:.4g}",
                 f"kT {float(self.fluid.kT):g}, gamma {float(self.fluid.value('gamma')):g}, "
-                f"gamma_cs {float(self.fluid.value('gamma_cs')):g}, dt {self.dt:.2g}",
+                f"gamma_cs {float(self.fluid.value('gamma_cs')):g}, dt {self.dt:.4g}",
             ]
         )
 
@@ -66,7 +66,7 @@ def marbles(
     """Large spheres that rotate in a solvent, placed at random.
 
     ``density (V - V_marbles)`` solvent beads, rounded down, lie outside them. The solvent starts without structure:
-    let it settle for some time units.
+    let it settle for some time units. At rest ``<v^2> = 3 kT/M (1 - M/M_total)`` for each marble, and ``<omega^2> = 3 kT/I``.
 
     Args:
         key: a PRNG key; the same one may drive the run.

@@ -100,7 +100,7 @@ def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, 
         raise ValueError(
             f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * cut:.4g}"
             f"{', or 1.118 times that in a box that can tilt' if sheared else ''}; use a side of at least "
-            f"{2 * cut * (np.hypot(1, 0.5) if sheared else 1):.4g} or a smaller skin"
+            f"{math.ceil(200 * cut * (np.hypot(1, 0.5) if sheared else 1)) / 100:g} or a smaller skin"
         )
     all_pairs = Grid(reach, skin, None, 0, 0, 0, sheared, groups)
     few, many = _count(all_pairs.few), _count(all_pairs.many)

@@ -78,7 +78,7 @@ def momentum(fluid, state):
 
 
 def standard(fluid, state) -> dict:
-    """What a run records unless told otherwise."""
+    """What a run records unless told otherwise: ``temperature``, ``pressure_tensor``, ``potential_energy``, ``momentum``."""
     return {
         "temperature": temperature(fluid, state),
         "pressure_tensor": pressure_tensor(fluid, state),

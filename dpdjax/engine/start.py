@@ -17,6 +17,8 @@ POSITION_DOMAIN, VELOCITY_DOMAIN, SPIN_DOMAIN = 2, 3, 8
 """Folded into the user's key, so that one key serves start and noise."""
 CLUSTERING = 2.0
 """Room in the lists of colloids, which gather."""
+LEAST_SKIN = 0.05
+"""Share of the reach that a default skin keeps in a narrow box."""
 
 
 def initial_state(
@@ -44,7 +46,7 @@ def initial_state(
         n: number of beads, instead of the density or as one count per species.
         start: ``"random"`` or ``"lattice"`` (simple cubic, filled evenly).
         fractions: share of each species, equal by default.
-        skin: margin of the neighbour lists [length]; by default the cheapest for ``dt``.
+        skin: margin of the neighbour lists [length]; by default the cheapest for ``dt`` that the box has room for.
         dt: time step the skin is chosen for; by default :func:`suggest_dt`.
         sheared: leave room in the lists for a tilted box.
 
@@ -87,13 +89,22 @@ def placed(fluid: Fluid, key, box: boxes.Box, position, counts, *, size=None, sk
     size = np.ones(total) if size is None else np.asarray(size, float)
     lengths = np.asarray(box.lengths, float)
     dt = suggest_dt(fluid, np.asarray(counts) / lengths.prod()) if dt is None else dt
-    skins = suggest_skins(fluid, dt, counts, lengths.prod()) if skin is None else [float(not_negative(skin, "skin"))]
-    largest = [size[species == k].max(initial=1.0) for k in range(len(counts))]
-    grids = _grids(fluid, lengths, counts, fluid.reaches(largest), skins, sheared)
+    reaches = fluid.reaches([size[species == k].max(initial=1.0) for k in range(len(counts))])
+    if skin is None:
+        room = 0.5 * float(boxes.narrowest(lengths, sheared).min())
+        skins = _fitting(suggest_skins(fluid, dt, counts, lengths.prod()), reaches, room)
+    else:
+        skins = [float(not_negative(skin, "skin"))]
+    grids = _grids(fluid, lengths, counts, reaches, skins, sheared)
     species, size = jnp.asarray(species, jnp.int32), jnp.asarray(size, box.lengths.dtype)
     velocity = _velocities(key, fluid.mass[species] * size**3, fluid.kT)
     rotation = _rotation(fluid, key, counts, size) if fluid.rotating else None
     return assemble(box, position, velocity, species, grids, size, fluid.origins, rotation)
+
+
+def _fitting(skins, reaches, room: float) -> list[float]:
+    """Skins that keep reach and skin within ``room``, down to the least one."""
+    return [min(skin, max(room - reach, LEAST_SKIN * reach)) for skin, reach in zip(skins, reaches)]
 
 
 def _rotation(fluid, key, counts, size) -> Rotation:

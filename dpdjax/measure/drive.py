@@ -2,13 +2,18 @@
 
 import dataclasses
 import math
+import warnings
 
 import numpy as np
 
 from dpdjax.engine.flow import Drive
+from dpdjax.measure.rotation import check_turned
 from dpdjax.measure.statistics import Estimate, block_average
 from dpdjax.measure.structure import chosen_beads, of_beads, recorded, species_of
 from dpdjax.measure.transport import bead_masses, frame_interval
+
+SUSPECT = 0.5
+"""Share of the least error that an error bar, itself uncertain, stays above."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,37 +48,43 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     that of the driven beads, the drive acts like a force ``F/(1 - x)`` with the reaction on all. Zhou & Schmid (2015) divide
     by F and take the velocity relative to the solvent, ``v/(1 - x)``: theirs is ``D/(1 - x)^2``.
 
-    The drift is that from frame to frame, so it is the mean over all steps.
+    The drift is that from frame to frame, so it is the mean over all steps. Over a time t the drift of n spheres in all is
+    uncertain by ``sqrt(2 D/(n t))`` at least: to halve an error run four times as long, or push twice as hard while the Reynolds
+    number stays small.
 
     Args:
         trajectory: a run recorded with ``observe=dpd.positions_of(species)``, or ``dpd.positions``; one or replicas.
         skip: share of the frames left out at the start.
         blocks: pieces for the error bar, each longer than the velocity lives.
 
+    Warns of an error bar well below that bound: the run is too short for its blocks to be independent.
+
     Raises ValueError for a run without such a force, or a batch with several.
     """
     flow, force, along = _driven(trajectory, "push", "force")
     beads = chosen_beads(trajectory, flow.species)
-    position = of_beads(recorded(trajectory, "unwrapped"), trajectory, beads).astype(float)
+    record = f"dpd.positions_of({flow.species})"
+    position = of_beads(recorded(trajectory, "unwrapped", observe=record), trajectory, beads).astype(float)
     first = int(skip * (position.shape[1] - 1))
     steps = np.diff(position[:, first:], axis=1) @ along / frame_interval(trajectory)
     velocity = block_average(steps.mean(axis=2), blocks)
     if flow.reaction == "others":
         force = force / (1.0 - driven_share(trajectory))
-    return _result(trajectory, velocity, force, turns=False)
+    return _result(trajectory, velocity, force, steps.size, turns=False)
 
 
 def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
     """Rotational diffusion coefficient of spheres from their angular velocity under ``flow=dpd.drive(torque=...)``.
 
-    ``D_r = kT omega / T``. Record with ``observe=dpd.rotations``, or its mean over all steps. Arguments and errors as
-    in :func:`driven_diffusion`.
+    ``D_r = kT omega / T``. Record with ``observe=dpd.rotations``, or its mean over all steps. Arguments, errors and the warning
+    as in :func:`driven_diffusion`; ValueError also where no friction turns the spheres, as with ``coupling="central"``.
     """
     flow, torque, along = _driven(trajectory, "twist", "torque")
     omega = recorded(trajectory, "angular_velocity", observe="dpd.rotations").astype(float) @ along
+    check_turned(trajectory.fluid, (flow.species,))
     turning = species_of(trajectory)[trajectory.final.rotation.slots] == flow.species
-    velocity = block_average(omega[:, int(skip * omega.shape[1]) :, turning].mean(axis=2), blocks)
-    return _result(trajectory, velocity, torque, turns=True)
+    omega = omega[:, int(skip * omega.shape[1]) :, turning]
+    return _result(trajectory, block_average(omega.mean(axis=2), blocks), torque, omega.size, turns=True)
 
 
 def driven_share(trajectory) -> float:
@@ -94,8 +105,21 @@ def _driven(trajectory, name: str, what: str):
     return flow, size, vectors[0] / size
 
 
-def _result(trajectory, velocity: Estimate, strength: float, turns: bool) -> Driven:
+def _result(trajectory, velocity: Estimate, strength: float, readings: int, turns: bool) -> Driven:
+    """``readings``: of the velocity, one for each sphere and frame."""
     kT = float(np.ravel(trajectory.fluid.kT)[0])
     diffusion = velocity.scaled(kT / strength)
+    _check_error(diffusion, kT / strength, readings * frame_interval(trajectory))
     friction = Estimate(strength, 0.0, velocity.blocks).over(velocity) if velocity.value else Estimate(math.inf, math.inf)
     return Driven(diffusion, velocity, friction, turns)
+
+
+def _check_error(diffusion: Estimate, mobility_unit: float, time: float):
+    """Warn of an error bar that fluctuation and dissipation rule out: displacement over a time t scatters by ``sqrt(2 D t)``."""
+    least = mobility_unit * math.sqrt(2 * abs(diffusion.value) / time) if time else 0.0
+    if diffusion.error < SUSPECT * least:
+        warnings.warn(
+            f"the error bar of {diffusion} cannot be below {least:.2g} in a run of {time:.3g} time units in all: its blocks are "
+            "shorter than the velocity lives; run longer",
+            stacklevel=4,
+        )

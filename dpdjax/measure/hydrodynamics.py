@@ -54,13 +54,13 @@ def _slip_factors(slip_length, radius):
 
 
 def velocity_tail(time, *, kT, viscosity, density, box=None):
-    """Late ``<v(t) . v(0)>`` of any sphere that is carried by the fluid [length^2/time^2], (times,).
+    """``<v(t) . v(0)>`` of any sphere that the fluid carries [length^2/time^2], (times,), at ``t`` well above ``R^2/nu``.
 
     ``kT/(4 density (pi nu t)^(3/2))`` with ``nu = viscosity/density`` (Alder & Wainwright 1970), its own diffusion left out; in a
     periodic cube the sum ``2 kT/(density V) sum exp(-nu k^2 t)`` over all waves but the zeroth, which ends in an exponential.
 
     Args:
-        time: [time], above zero.
+        time: [time], above zero: leave out the first lag of a correlation, ``time[1:]``.
         kT, viscosity, density: of the fluid; mass density.
         box: side of a periodic cube [length].
     """
@@ -71,7 +71,7 @@ def velocity_tail(time, *, kT, viscosity, density, box=None):
 
 
 def angular_velocity_tail(time, *, kT, viscosity, density, box=None):
-    """Late ``<omega(t) . omega(0)>`` of any sphere that turns with the fluid [1/time^2], (times,).
+    """``<omega(t) . omega(0)>`` of any sphere that turns with the fluid [1/time^2], (times,), at ``t`` well above ``R^2/nu``.
 
     ``3 pi kT/(density (4 pi nu t)^(5/2))`` (Berne 1972): half the curl of the fluid's velocity fluctuations; in a periodic cube
     ``kT/(2 density V) sum k^2 exp(-nu k^2 t)``. Arguments as in :func:`velocity_tail`.
@@ -117,6 +117,10 @@ def hydrodynamic_radius(box: Sequence, diffusion: Sequence[Estimate], *, kT, vis
     misfit = [float(np.sum(((theory(R) - value) / error) ** 2)) for R in grid]
     best = int(np.argmin(misfit))
     if best in (0, len(grid) - 1):
-        raise ValueError("no radius between a thousandth and 0.45 of the smallest side fits these diffusion coefficients")
+        smallest, largest = (theory(R).round(6).tolist() for R in grid[[-1, 0]])
+        raise ValueError(
+            f"diffusion coefficients {value.tolist()} are those of no radius between {grid[0]:.3g} and {grid[-1]:.3g} in boxes of "
+            f"{box.tolist()}: the formula spans {smallest} to {largest}; run longer, or check kT and viscosity"
+        )
     radius = brentq(gradient, grid[best - 1], grid[best + 1])
     return Estimate(radius, float(np.sum((slope(radius) / error) ** 2)) ** -0.5, len(value))

@@ -74,17 +74,30 @@ def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, f
     Args:
         trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
         method: ``"msd"`` or ``"vacf"``.
-        fit: first and last lag [time]; by default the later half of the lags that leave 12 independent pieces.
+        fit: first and last lag [time], after the spin is forgotten; by default the later half of the lags that leave 12
+            independent pieces, which in a short run is too early.
 
-    Raises ValueError as :func:`dpdjax.diffusion` does, and for frames so far apart that turns are lost count of.
+    Raises ValueError as :func:`dpdjax.diffusion` does, for frames so far apart that turns are lost count of, and spheres
+    that no friction turns, as with ``coupling="central"``.
     """
     if method not in ("msd", "vacf"):
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
+    check_turned(trajectory.fluid, trajectory.fluid.rotating)
     if method == "vacf":
         values = recorded(trajectory, "angular_velocity", observe=RECORD)
         return read_diffusion(trajectory, values, values.shape, transport.autocorrelation, transport.green_kubo_integral, fit)
     angle = angle_turned(_orientations(trajectory))
     return read_diffusion(trajectory, angle, angle.shape, transport.squared_displacement, transport.einstein, fit)
+
+
+def check_turned(fluid, species):
+    """ValueError where nothing but the start decides how fast the beads of one of these species rotate."""
+    for k in species:
+        if not fluid.turns(k):
+            raise ValueError(
+                f"no friction turns the beads of species {k}: all of theirs act along the line of centres, and they spin as they "
+                'started; give one projector="full" or "transverse" (for marbles the coupling)'
+            )
 
 
 def _orientations(trajectory):

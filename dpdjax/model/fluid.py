@@ -85,6 +85,11 @@ class Fluid:
         """Species that rotate."""
         return tuple(k for k, inertia in enumerate(self.inertia) if inertia is not None)
 
+    def turns(self, species: int) -> bool:
+        """Whether some friction turns the beads of a species; along the line of centres none does."""
+        of_species = (i for i in self.interactions if any(species in group for group in i.groups))
+        return species in self.rotating and not all(i.is_central for i in of_species)
+
     def reaches(self, largest=None) -> tuple[float, ...]:
         """Largest centre distance at which each interaction acts [length]; needs concrete numbers.
 

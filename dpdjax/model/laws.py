@@ -46,6 +46,7 @@ def power_drag(h, *, gamma, r_c, s):
 def transverse_drag(h, *, gamma_t, r_c):
     """Friction ``gamma_t (1 - h/r_c)**2`` across the line of centres (Junghans, Praprotnik & Kremer 2008, eqs. 3 and 4).
 
-    Raises viscosity and Schmidt number of a solvent; keeps momentum, not angular momentum. ``gamma_t`` [mass / time].
+    Raises the Schmidt number of a solvent, and its viscosity once that is carried by drag more than by beads; keeps momentum,
+    not angular momentum. ``gamma_t`` [mass / time].
     """
     return gamma_t * (1.0 - h / r_c) ** 2

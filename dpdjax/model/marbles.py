@@ -9,7 +9,7 @@ from dpdjax.model import laws
 from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
 from dpdjax.model.fluid import Fluid, fluid, interaction
 from dpdjax.model.marble_laws import shifted_repulsion, surface_drag
-from dpdjax.model.term import FULL, Term, several, term
+from dpdjax.model.term import FULL, PROJECTORS, Term, several, term
 
 
 def marble_fluid(
@@ -47,7 +47,7 @@ def marble_fluid(
     Args:
         kT: thermal energy [energy].
         gamma, gamma_cs: friction of the solvent and of the surface [mass/time].
-        coupling: ``"full"``, ``"transverse"`` or ``"central"``.
+        coupling: ``"full"``, ``"transverse"``, or ``"central"``, which exerts no torque: the marble spins as it started.
         a: soft repulsion of the solvent [energy/length]; none by default.
         gamma_t: transverse friction of the solvent [mass/time]; none by default.
         radius: of a marble [length].
@@ -62,6 +62,8 @@ def marble_fluid(
     Raises ValueError for numbers no fluid can have, an unknown coupling, forces between marbles of which there is one.
     """
     kT, radius, r_c = not_negative(kT, "kT"), positive(radius, "radius"), positive(r_c, "r_c")
+    if coupling not in PROJECTORS:
+        raise ValueError(f"coupling is {coupling!r}; it is one of {', '.join(PROJECTORS)}")
     density, sigma = positive(density, "density"), positive(sigma, "sigma")
     attraction, friction = several(attraction), several(friction)
     if (attraction or friction) and not is_several:
