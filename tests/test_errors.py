@@ -92,10 +92,18 @@ def test_things_that_are_no_terms():
 
 
 def test_box_below_two_cuts(water, key):
-    with refused(ValueError, "box side 2 ", "2 (reach + skin) = 2.4", "at least 2.683"):
+    with refused(ValueError, "box side 2 ", "2 (reach + skin) = 2.4", "at least 2.69"):
         dpd.initial_state(water, key, box=2.0, density=3.0, skin=0.2)
     with refused(ValueError, "skin is -0.2", "must not be negative"):
         dpd.initial_state(water, key, box=4.2, density=3.0, skin=-0.2)
+
+
+def test_side_that_a_message_asks_for_will_do(water, key):
+    """The default skin gives way in a narrow box, down to a twentieth of the reach."""
+    with refused(ValueError, "box side 2.3 ", "2 (reach + skin) = 2.1", "at least 2.35"):
+        dpd.initial_state(water, key, box=2.3, density=3.0)
+    narrow = dpd.initial_state(water, key, box=2.35, density=3.0)
+    assert 0.05 <= narrow.neighbours[0].grid.skin < 0.06
 
 
 def test_box_of_the_wrong_shape(water, key):
