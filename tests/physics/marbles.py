@@ -236,8 +236,9 @@ def temperatures():
 def schmidt():
     """Transverse drag in the solvent: the Schmidt number
 
-    Drag across the line of centres beside gamma 5 along it, at kT 1 and density 3. D is the large system's: that of a box of
-    side 10 and 2.837 kT/(6 pi eta 10).
+    Drag across the line of centres beside gamma 5 along it, at kT 1 and density 3. Beads that are dragged more carry less
+    momentum, so the viscosity falls before it rises. D is the large system's: that of a box of side 10 and
+    2.837 kT/(6 pi eta 10).
     """
     rows = []
     for gamma_t in (0.0, 5.0, 20.0):
