@@ -271,9 +271,8 @@ def marble():
     take. Errors are the scatter of pieces; a case of fewer than five is not shown. The drag of all runs in the box of 10 with
     gamma_cs 5 is their mean weighed by what fluctuation and dissipation say of their errors.
 
-    With the reaction on the others a force F
-    drives as F/(1 - M/M_total) does (Zhou & Schmid divide by it once more, for the velocity relative to the solvent); D is
-    corrected for it.
+    With the reaction on the others a force F drives as F/(1 - M/M_total) does (Zhou & Schmid divide by it once more, for the
+    velocity relative to the solvent); D is corrected for it.
     """
     found = {case: lines for case in CASES if len(lines := pieces()[case.name]) >= FEWEST}
     eta = json.loads((rooms.HERE / "marbles.json").read_text())["viscosity"]["rows"][0]["value"][0]
