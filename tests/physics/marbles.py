@@ -36,7 +36,7 @@ DT, RADIUS, DENSITY = 0.01, 3.0, 3.0
 EVERY = 10
 LENGTH = 600.0
 """Time that a piece runs."""
-FEWEST = 5
+FEWEST = 4
 """Pieces whose scatter is an error."""
 
 
@@ -180,12 +180,34 @@ def reading(lines: list[dict], name: str) -> Estimate | None:
     return Estimate(float(values.mean()), float(error), len(values))
 
 
+def drag(lines: list[dict]) -> Estimate:
+    """D from the drift in several pieces, weighed by the errors that fluctuation and dissipation give each."""
+    D, error = _drags(lines)
+    weight = error**-2.0
+    return Estimate(float(np.sum(weight * D) / weight.sum()), float(weight.sum() ** -0.5), len(D))
+
+
+def _drags(lines):
+    """D of each piece and its error: the displacement in a time t scatters by ``sqrt(2 D t)``, and ``kT/F`` is ``D/v``."""
+    D, velocity, time = np.array([[float(line[name]) for name in ("D_drag", "velocity", "time")] for line in lines]).T
+    return D, D / velocity * np.sqrt(2 * D.mean() / time)
+
+
+def scatter(cases: list[list[dict]]) -> Estimate:
+    """Mean square of the drags of pieces about their case, over the square of the errors above: 1 if those are right."""
+    squares, free = 0.0, 0
+    for lines in cases:
+        D, error = _drags(lines)
+        squares, free = squares + np.sum(((D - drag(lines).value) / error) ** 2), free + len(D) - 1
+    return Estimate(float(squares / free), math.sqrt(2 / free), free)
+
+
 def need(case: Case, lines: list[dict]) -> float:
     """How far the error of a case is from its target; infinite for too few pieces to tell."""
     if len(lines) < FEWEST:
         return 1e6 / (1 + len(lines))
-    found = reading(lines, "D_drag" if case.force else "D_msd")
-    return (_least_error(lines) if case.force else found.error) / abs(found.value) / case.target
+    found = drag(lines) if case.force else reading(lines, "D_msd")
+    return found.error / abs(found.value) / case.target
 
 
 def run(minutes: float, worker: int, workers: int, only: str | None):
@@ -268,8 +290,8 @@ def marble():
 
     D where the whole has no momentum. Drag: driven along x; displacement and velocity: along y and z in the same runs, or in
     equilibrium. Theory: no slip, the bare radius and the viscosity measured above; the hydrodynamic radius is what no slip would
-    take. Errors are the scatter of pieces; a case of fewer than five is not shown. The drag of all runs in the box of 10 with
-    gamma_cs 5 is their mean weighed by what fluctuation and dissipation say of their errors.
+    take. Errors are the scatter of pieces, but for the drag: there each piece has the error that fluctuation and dissipation give
+    it, kT/F sqrt(2 D/t), and the last row compares with their scatter. A case of fewer than four pieces is not shown.
 
     With the reaction on the others a force F drives as F/(1 - M/M_total) does (Zhou & Schmid divide by it once more, for the
     velocity relative to the solvent); D is corrected for it.
@@ -280,10 +302,12 @@ def marble():
     alike = [case for case in found if (case.box, case.gamma_cs) == (10, 5)]
     together = [line for case in alike for line in found[case]]
     rows += _of_readings(alike[0], "L 10, gamma_cs 5, all runs", together, eta, ("D_msd", "D_vacf", "Dr_msd", "Dr_vacf"))
-    rows.append(row("D, drag", "L 10, gamma_cs 5, all runs", _pooled([found[case] for case in alike if case.force])))
+    rows.append(row("D, drag", "L 10, gamma_cs 5, all runs", drag([line for case in alike if case.force for line in found[case]])))
+    driven = scatter([lines for case, lines in found.items() if case.force])
+    rows.append(row("scatter of drags over that expected, squared", "all pieces", driven, 1.0, "fluctuation and dissipation"))
     several = [case for case in found if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")]
     if len(several) > 1:
-        estimates = [reading(found[case], "D_drag") for case in several]
+        estimates = [drag(found[case]) for case in several]
         radius = dpd.hydrodynamic_radius([case.box for case in several], estimates, kT=1.0, viscosity=eta)
         rows.append(row("hydrodynamic radius", ", ".join(case.name for case in several), radius, note="from the drag"))
     return rows
@@ -295,26 +319,10 @@ def _of_case(case, lines, eta):
     steps = sum(float(line["particle_steps"]) for line in lines)
     rows[0]["note"] = f"{len(lines)} pieces, {steps:.2g} particle-steps, {sum(float(line['seconds']) for line in lines):.0f} s"
     if case.force:
-        rows[0]["note"] += f"; an error of {_least_error(lines):.2g} by fluctuation and dissipation"
-    if case.force:
         Re = DENSITY * abs(reading(lines, "velocity").value) * RADIUS / eta
-        radius = dpd.hydrodynamic_radius([case.box], [reading(lines, "D_drag")], kT=1.0, viscosity=eta)
+        radius = dpd.hydrodynamic_radius([case.box], [drag(lines)], kT=1.0, viscosity=eta)
         rows.append(row("hydrodynamic radius", case.name, radius, note=f"from the drag, this box alone; Re {Re:.2f}"))
     return rows
-
-
-def _pooled(cases) -> Estimate:
-    """The mean drag of several cases of one sphere."""
-    values, errors = np.array([(reading(lines, "D_drag").value, _least_error(lines)) for lines in cases]).T
-    weights = errors**-2.0
-    return Estimate(float(np.sum(weights * values) / weights.sum()), float(weights.sum() ** -0.5), sum(map(len, cases)))
-
-
-def _least_error(lines) -> float:
-    """Of the drag: in each piece ``kT/F sqrt(2 D/t)``, with ``kT/F = D/v``."""
-    D = reading(lines, "D_drag").value
-    each = [float(line["D_drag"]) / float(line["velocity"]) * math.sqrt(2 * D / float(line["time"])) for line in lines]
-    return math.sqrt(sum(error**2 for error in each)) / len(each)
 
 
 def _of_readings(case, where, lines, eta, names):
@@ -322,7 +330,7 @@ def _of_readings(case, where, lines, eta, names):
     beside = {name: (1.0, "exact, up to O(dt)") for name in names}
     for kind, theory in (("D_", dpd.sphere_diffusion(**at)), ("Dr_", dpd.sphere_rotational_diffusion(**at))):
         beside |= {name: (theory, "no slip, radius 3") for name in names if name.startswith(kind)}
-    estimates = {name: reading(lines, name) for name in names}
+    estimates = {name: drag(lines) if name == "D_drag" and case.force else reading(lines, name) for name in names}
     return [row(TITLES[name], where, value, *beside[name]) for name, value in estimates.items() if value is not None]
 
 
