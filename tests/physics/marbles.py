@@ -13,6 +13,7 @@ import argparse
 import csv
 import dataclasses
 import datetime
+import io
 import json
 import math
 import platform
@@ -28,6 +29,7 @@ from rooms import row
 
 import dpdjax as dpd
 from dpdjax.measure import transport
+from dpdjax.measure.hydrodynamics import LATTICE
 from dpdjax.measure.rotation import angle_turned
 from dpdjax.measure.statistics import Estimate, block_average
 
@@ -164,16 +166,18 @@ def pieces() -> dict[str, list[dict]]:
 
 def keep(line: dict):
     """Append a piece; one write, so that several workers do not mix theirs."""
-    text = "" if TABLE.exists() else ",".join(COLUMNS) + "\n"
-    quoted = lambda v: f'"{v}"' if isinstance(v, str) else f"{v:.7g}" if isinstance(v, float) else str(v)
-    text += ",".join(quoted(line.get(name, "")) for name in COLUMNS) + "\n"
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    if not TABLE.exists():
+        writer.writeheader()
+    writer.writerow({name: f"{value:.7g}" if isinstance(value, float) else value for name, value in line.items()})
     with TABLE.open("a") as file:
-        file.write(text)
+        file.write(text.getvalue())
 
 
 def reading(lines: list[dict], name: str) -> Estimate | None:
     """Mean of a reading over pieces, and its standard error."""
-    values = np.array([float(line[name]) for line in lines if line[name] not in ("", '""')])
+    values = np.array([float(line[name]) for line in lines if line[name]])
     if not len(values):
         return None
     error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
@@ -246,7 +250,7 @@ def temperatures():
             state = dpd.run(made.fluid, made.state, KEY, dt, dpd.Plan(20, 200), progress=False).final
             run = dpd.run(made.fluid, state, KEY, dt, dpd.Plan(2000, 100), observe=dpd.mean(thermal), progress=False)
             where = f"{coupling}, gamma_cs {gamma_cs:g}, dt {dt:g}, {made.solvents} solvent beads"
-            names = {"T": "kinetic temperature of all beads", "v2": "M <v^2>/(1 - M/M_total)", "w2": "I <omega^2>"}
+            names = {"T": "kinetic temperature of all beads", "v2": TITLES["v2"], "w2": TITLES["w2"]}
             for name, title in names.items():
                 if name != "w2" or coupling != "central":
                     mean = block_average(run.frames[name])
@@ -264,22 +268,20 @@ def schmidt():
     """
     rows = []
     for gamma_t in (0.0, 5.0, 20.0):
-        drag = [dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0), dpd.term(dpd.transverse_drag, gamma_t=gamma_t, r_c=1.0)]
-        fluid, where = dpd.fluid(drag=drag, kT=1.0), f"gamma_t {gamma_t:g}, dt 0.005"
+        frictions = [dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0), dpd.term(dpd.transverse_drag, gamma_t=gamma_t, r_c=1.0)]
+        fluid, where = dpd.fluid(drag=frictions, kT=1.0), f"gamma_t {gamma_t:g}, dt 0.005"
         eta = dpd.measure_viscosity(fluid, key=KEY, density=DENSITY, tolerance=0.02, dt=0.005).estimate
         state = dpd.initial_state(fluid, KEY, box=10.0, density=DENSITY, dt=0.005)
         state = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(20, 100), progress=False).final
         observe = [dpd.positions, dpd.mean(lambda fluid, state: {"T": dpd.temperature(fluid, state)})]
         run = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(600, 50), observe=observe, progress=False)
         box = dpd.diffusion(run, fit=(5.0, 10.0))
-        D = Estimate(box.value + 2.837297 / (6 * math.pi * eta.value * 10), box.error, box.blocks)
-        ratio = eta.value / (DENSITY * D.value)
-        error = ratio * math.hypot(eta.error / eta.value, D.error / D.value)
+        D = Estimate(box.value + LATTICE / (6 * math.pi * eta.value * 10), box.error, box.blocks)
         rows += [
             row("kinetic temperature", where, block_average(run.frames["T"]), 1.0, "exact, up to O(dt)"),
             row("viscosity, shear", where, eta),
             row("D of a solvent bead", where, D),
-            row("Schmidt number, eta/(rho D)", where, Estimate(ratio, error, D.blocks)),
+            row("Schmidt number, eta/(rho D)", where, eta.over(D).scaled(1 / DENSITY)),
         ]
         print(*map(rooms.text, rows[-4:]), sep="\n", flush=True)
     return rows
@@ -296,7 +298,8 @@ def marble():
     With the reaction on the others a force F drives as F/(1 - M/M_total) does (Zhou & Schmid divide by it once more, for the
     velocity relative to the solvent); D is corrected for it.
     """
-    found = {case: lines for case in CASES if len(lines := pieces()[case.name]) >= FEWEST}
+    there = pieces()
+    found = {case: there[case.name] for case in CASES if len(there[case.name]) >= FEWEST}
     eta = json.loads((rooms.HERE / "marbles.json").read_text())["viscosity"]["rows"][0]["value"][0]
     rows = [line for case, lines in found.items() for line in _of_case(case, lines, eta)]
     alike = [case for case in found if (case.box, case.gamma_cs) == (10, 5)]
