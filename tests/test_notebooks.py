@@ -1,6 +1,5 @@
 """The notebooks: every cell runs, at reduced size; the committed ones were executed."""
 
-import concurrent.futures
 import os
 import sys
 from pathlib import Path
@@ -39,15 +38,6 @@ def execute(path, folder):
     return client.execute(env=os.environ | {"DPDJAX_QUICK": "1"})
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """All notebooks side by side: each mostly compiles, on one core."""
-    pool = concurrent.futures.ThreadPoolExecutor(max_workers=2)
-    # The longest is the last; it starts first.
-    yield {path: pool.submit(execute, path, tmp_path_factory.mktemp(path.stem)) for path in reversed(NOTEBOOKS)}
-    pool.shutdown(cancel_futures=True)
-
-
 def code_cells(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
@@ -61,8 +51,8 @@ def test_there_are_notebooks():
 
 
 @each
-def test_every_cell_runs(path, runs):
-    assert pictures(runs[path].result()) == pictures(nbformat.read(path, as_version=4))
+def test_every_cell_runs(path, tmp_path):
+    assert pictures(execute(path, tmp_path)) == pictures(nbformat.read(path, as_version=4))
 
 
 @each
