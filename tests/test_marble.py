@@ -486,7 +486,7 @@ def test_the_stress_across_is_the_flux_of_momentum(key):
         (dict(box=10.0, inertia=0.0), "inertia is 0.0"),
         (dict(box=10.0, friction=dpd.term(rub, gamma_cc=1.0, r_c=1.0)), "give is_several=True"),
     ],
-    ids=str,
+    ids=lambda value: " ".join(value) if isinstance(value, dict) else None,
 )
 def test_marbles_that_cannot_be(wrong, words, key):
     with pytest.raises(ValueError, match=words):

@@ -298,7 +298,7 @@ def radii_of(made):
         (dict(phi=0.2, box=9.0, noise="literal", lubrication=dpd.unequal_lubrication), "leave lubrication= out"),
         (dict(phi=0.2, box=9.0, kT=0.0), "kT is 0"),
     ],
-    ids=lambda value: str(value),
+    ids=lambda value: " ".join(value) if isinstance(value, dict) else None,
 )
 def test_suspensions_that_cannot_be(wrong, words, key):
     with pytest.raises(ValueError, match=words):
