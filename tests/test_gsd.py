@@ -1,5 +1,6 @@
 """GSD files: what is written is what was there, in boxes of any tilt, whatever the pieces."""
 
+import dataclasses
 import importlib.util
 import sys
 
@@ -11,6 +12,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
+from dpdjax.engine.rotation import axis_of
 from dpdjax.engine.start import placed
 
 SIDES, DT = np.array([5.0, 4.5, 6.0]), 0.002
@@ -119,6 +121,35 @@ def test_velocities_carry_beads_from_frame_to_frame(fluid, run, key, tmp_path):
     carried = 0.5 * (before.particles.velocity + after.particles.velocity)
     carried[:, 0] += 1.0 * SIDES[1] * after.particles.image[:, 1]
     assert np.sqrt(np.mean((moved - carried) ** 2)) < 0.02 * np.std(before.particles.position[:, 1])
+
+
+def test_rotation_is_written_as_hoomd_means_it(key, tmp_path):
+    """By its own definitions: the body's axes by q v q*, the angular momentum by q* p / 2 in the body's axes."""
+    made = dpd.marbles(key, box=6.0, radius=1.5, density=1.0, skin=0.2, dt=0.005, report=None)
+    how = made.fluid, made.state, key, 0.005, dpd.Plan(4, 50), dpd.drive(torque=(0.0, 30.0, 20.0))
+    ran = dpd.run_to_gsd(tmp_path / "turning.gsd", *how, piece=2, progress=False)
+    dpd.write_gsd(tmp_path / "memory.gsd", dpd.run(*how, observe=dpd.gsd_record, progress=False))
+    inertia = float(made.fluid.value("inertia"))
+    product = lambda a, b: np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+    against = lambda q: q * [1, -1, -1, -1]
+    files = [frames_of(tmp_path / name) for name in ("turning.gsd", "memory.gsd")]
+    for k, (frame, other) in enumerate(zip(*files, strict=True)):
+        beads = frame.particles
+        for name in ("orientation", "angmom", "moment_inertia"):
+            np.testing.assert_allclose(getattr(beads, name), getattr(other.particles, name), rtol=1e-6, atol=1e-6)
+        assert np.all(beads.orientation[:-1] == [1, 0, 0, 0])
+        assert not np.any(beads.angmom[:-1]) and not np.any(beads.moment_inertia[:-1])
+        np.testing.assert_allclose(beads.moment_inertia[-1], inertia, rtol=1e-6)
+        q, p = beads.orientation[-1].astype(float), beads.angmom[-1].astype(float)
+        omega = ran.frames["angular_velocity"][k, 0]
+        body = 0.5 * product(against(q), p)
+        np.testing.assert_allclose(product(product(q, body), against(q)), [0, *(inertia * omega)], rtol=1e-5, atol=1e-4)
+        axis = product(product(q, np.array([0.0, 0.0, 0.0, 1.0])), against(q))[1:]
+        np.testing.assert_allclose(axis, axis_of(ran.frames["orientation"][k, 0]), atol=1e-6)
+    assert abs(q[0]) < 0.99, "it has turned"
+    blind = dataclasses.replace(ran, frames={name: ran.frames[name] for name in ("step", "time")})
+    with pytest.raises(ValueError, match="no angular_velocity, image, orientation, position"):
+        dpd.write_gsd(tmp_path / "none.gsd", blind)
 
 
 def test_freud_opens_it(written, frames):

@@ -7,24 +7,30 @@ import numpy as np
 from tqdm import tqdm
 
 from dpdjax.checks import prng_key
-from dpdjax.engine.observables import standard
+from dpdjax.engine.observables import rotations, standard
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run
-from dpdjax.engine.state import masses, radii
+from dpdjax.engine.state import inertias, masses, radii
 from dpdjax.host.run import next_chunk, run
 
 DRAWN_RADIUS = 0.5
 """Radius of beads that are points, for drawing alone [length]."""
 RECORDED = ("position", "velocity", "image", "strain")
+TURNING = ("orientation", "angular_velocity")
+"""Recorded too where beads rotate."""
 
 
 def gsd_record(fluid, state) -> dict:
     """What a frame of a GSD file holds; give it to ``observe=``."""
-    return {
+    beads = {
         "position": state.position,
         "velocity": state.velocity,
         "image": state.image,
         "strain": state.box.strain,
     }
+    if state.rotation is None:
+        return beads
+    turning = rotations(fluid, state)
+    return beads | {name: turning[name] for name in TURNING}
 
 
 @contextlib.contextmanager
@@ -33,7 +39,8 @@ def gsd_writer(path, fluid, state, mode: str = "w"):
 
     Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids. Diameters, masses and the
     box with its tilt are written too; positions are centred, and velocities those of the lab where the flow is given.
-    Images unwrap positions where there is no shear.
+    Images unwrap positions where there is no shear. Beads that rotate have their orientation, moment of inertia and angular
+    momentum, as HOOMD-blue means them; the others are not turned.
 
     Args:
         path: file name.
@@ -49,7 +56,7 @@ def gsd_writer(path, fluid, state, mode: str = "w"):
     template = _beads(fluid, state)
     with gsd.hoomd.open(str(path), mode) as file:
         yield lambda frames, flow=None: file.extend(
-            _frame(gsd.hoomd.Frame(), template, state.box, frames, k, flow) for k in range(len(frames["step"]))
+            _frame(gsd.hoomd.Frame(), template, state, frames, k, flow) for k in range(len(frames["step"]))
         )
 
 
@@ -60,7 +67,8 @@ def write_gsd(path, trajectory) -> None:
     """
     if trajectory.is_batch:
         raise ValueError("a GSD file holds one run; write the members of a batch one by one, trajectory.members()")
-    missing = set(RECORDED) - set(trajectory.frames)
+    wanted = RECORDED if trajectory.final.rotation is None else RECORDED + TURNING
+    missing = set(wanted) - set(trajectory.frames)
     if missing:
         raise ValueError(f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.gsd_record")
     with gsd_writer(path, trajectory.fluid, trajectory.final) as write:
@@ -70,8 +78,8 @@ def write_gsd(path, trajectory) -> None:
 def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int = 10, progress: bool = True) -> Trajectory:
     """:func:`dpdjax.run` with its frames written to a GSD file as they come, ``piece`` at a time.
 
-    Returns the trajectory with the standard record; positions are in the file alone, so that long runs fit in
-    memory. Ctrl-C ends it early, with all whole pieces in the file.
+    Returns the trajectory with the standard record, and how beads that rotate are turned; positions are in the file alone,
+    so that long runs fit in memory. Ctrl-C ends it early, with all whole pieces in the file.
 
     Raises ValueError for a batch, and as :func:`dpdjax.run` does; a file of that name is then left as it was.
     """
@@ -106,18 +114,22 @@ def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int
 def _beads(fluid, state) -> dict:
     """What does not change from frame to frame."""
     radius = np.asarray(radii(fluid, state))
-    return {
+    beads = {
         "N": state.n,
         "types": [chr(ord("A") + k) for k in range(fluid.species)],
         "typeid": np.asarray(state.species, np.uint32),
         "mass": np.asarray(masses(fluid, state), np.float32),
         "diameter": 2 * np.where(radius > 0, radius, DRAWN_RADIUS).astype(np.float32),
     }
+    if state.rotation is not None:
+        beads["moment_inertia"] = np.zeros((state.n, 3), np.float32)
+        beads["moment_inertia"][state.rotation.slots] = np.asarray(inertias(fluid, state))[:, None]
+    return beads
 
 
-def _frame(frame, beads, box, frames, k, flow):
+def _frame(frame, beads, state, frames, k, flow):
     """One frame, in a box centred on the origin."""
-    lengths, strain = np.asarray(box.lengths, float), float(frames["strain"][k])
+    lengths, strain = np.asarray(state.box.lengths, float), float(frames["strain"][k])
     position = np.array(frames["position"][k], float)
     # Positions are wrapped along x, a file wants them between the tilted faces.
     turns = np.floor((position[:, 0] - strain * position[:, 1]) / lengths[0])
@@ -133,4 +145,21 @@ def _frame(frame, beads, box, frames, k, flow):
     frame.particles.position = position.astype(np.float32)
     frame.particles.velocity = velocity.astype(np.float32)
     frame.particles.image = np.asarray(frames["image"][k], np.int32) + np.array([[1, 0, 0]]) * turns[:, None].astype(np.int32)
+    if state.rotation is not None:
+        orientation, velocity = (np.asarray(frames[name][k], float) for name in TURNING)
+        turned = _turned(orientation, velocity, state.rotation.slots, beads["moment_inertia"])
+        frame.particles.orientation, frame.particles.angmom = turned
     return frame
+
+
+def _turned(orientation, velocity, slots, inertia):
+    """Quaternions (n, 4) of orientation and of angular momentum: HOOMD's is ``2 q (0, L')``, L' in the axes of the body.
+
+    In those of the lab, as here, it is ``2 (0, L) q``.
+    """
+    every, momentum = np.zeros((2, len(inertia), 4), np.float32)
+    every[:, 0] = 1.0
+    every[slots] = orientation
+    L, w, v = inertia[slots] * velocity, orientation[:, :1], orientation[:, 1:]
+    momentum[slots] = 2 * np.concatenate([-np.sum(L * v, axis=1, keepdims=True), w * L + np.cross(L, v)], axis=1)
+    return every, momentum
