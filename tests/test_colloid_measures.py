@@ -402,7 +402,8 @@ def recorded(position, coefficients=None, strain=None, flow=None, size=None):
             species=np.ones(n, int),
             size=np.ones(n) if size is None else size,
         ),
-        fluid=SimpleNamespace(radius=(None, 0.5), coefficients=coefficients or {}),
+        fluid=SimpleNamespace(radius=(None, 0.5), coefficients=coefficients or {}, batch_axes=lambda: None),
+        interval=0.5,
     )
 
 

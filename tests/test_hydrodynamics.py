@@ -244,7 +244,7 @@ def test_drives_scan_over_forces(key):
     keys = jax.random.split(key, 2)
     ran = dpd.run(made.fluid, made.state, keys, made.dt, dpd.Plan(4, 20), flow, observe=dpd.positions_of(1), progress=False)
     assert ran.final.velocity[0, -1, 0] > 0.3 > -0.3 > ran.final.velocity[1, -1, 0]
-    with pytest.raises(ValueError, match="the members of this batch differ"):
+    with pytest.raises(ValueError, match="the members of this batch differ in push"):
         dpd.driven_diffusion(ran)
 
 

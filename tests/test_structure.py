@@ -140,3 +140,15 @@ def test_structure_of_water():
     assert abs(rdf.r[np.argmax(rdf.g)] - 0.88) < 0.1
     assert abs(np.interp(0.5, rdf.r, rdf.g) - 0.59) < 0.06
     assert abs(rdf.g[-10:].mean() - 1) < 0.01
+
+
+def test_a_scan_is_not_pooled(water, fresh, key):
+    """What differs is named; members, and replicas of one fluid, are measured."""
+    keys = jax.random.split(key, 2)
+    go = lambda fluid: dpd.run(fluid, fresh, keys, 0.005, dpd.Plan(2, 2), observe=dpd.positions, progress=False)
+    scan = go(water.set(gamma=np.array([4.5, 9.0]), kT=np.array([1.0, 0.5])))
+    for measure in (radial_distribution, dpd.diffusion, dpd.mean_squared_displacement, dpd.velocity_autocorrelation):
+        with pytest.raises(ValueError, match="the members of this batch differ in gamma, kT; measure them one by one"):
+            measure(scan)
+    assert len([radial_distribution(member) for member in scan.members()]) == 2
+    assert radial_distribution(go(water.set(gamma=np.array([4.5, 4.5])))).g.shape == (100,)

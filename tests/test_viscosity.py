@@ -28,6 +28,7 @@ def trajectory(frames, flow=None, dt=DT, kT=KT):
         flow=quiet() if flow is None else flow,
         dt=np.asarray(dt),
         every=round(H / DT),
+        interval=np.asarray(dt) * round(H / DT),
         final=SimpleNamespace(box=SimpleNamespace(lengths=lengths), n=round(RHO * np.prod(SIDES))),
     )
 
@@ -188,17 +189,17 @@ def test_window_too_long_for_the_run():
 
 
 @pytest.mark.parametrize(
-    "scan",
+    "scan, name",
     [
-        {"kT": np.array([1.0, 1.0, 1.0, 2.0])},
-        {"dt": np.array([0.01, 0.01, 0.02, 0.02])},
-        {"flow": dpd.shear(np.array([0.1, 0.2, 0.3, 0.4]))},
+        ({"kT": np.array([1.0, 1.0, 1.0, 2.0])}, "kT"),
+        ({"dt": np.array([0.01, 0.01, 0.02, 0.02])}, "dt"),
+        ({"flow": dpd.shear(np.array([0.1, 0.2, 0.3, 0.4]))}, "rate"),
     ],
     ids=["numbers", "dt", "rate"],
 )
-def test_scan_is_not_pooled(scan):
+def test_scan_is_not_pooled(scan, name):
     frames = {"pressure_tensor": np.zeros((REPLICAS, FRAMES, 3, 3)), "flux_integral": stress(0, 1.0)}
     scanned = trajectory(frames, **({"flow": dpd.shear(0.2)} | scan))
     for measure in (dpd.shear_viscosity, lambda t: dpd.einstein_helfand(t, window=1.0)):
-        with pytest.raises(ValueError, match="the members of this batch differ; measure each"):
+        with pytest.raises(ValueError, match=f"the members of this batch differ in {name}; measure them one by one"):
             measure(scanned)

@@ -7,10 +7,11 @@ import warnings
 import numpy as np
 
 from dpdjax.engine.flow import Drive
+from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.rotation import check_turned
 from dpdjax.measure.statistics import Estimate, block_average
 from dpdjax.measure.structure import chosen_beads, of_beads, recorded, species_of
-from dpdjax.measure.transport import bead_masses, frame_interval
+from dpdjax.measure.transport import bead_masses
 
 SUSPECT = 0.5
 """Share of the least error that an error bar, itself uncertain, stays above."""
@@ -66,7 +67,7 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     record = f"dpd.positions_of({flow.species})"
     position = of_beads(recorded(trajectory, "unwrapped", observe=record), trajectory, beads).astype(float)
     first = int(skip * (position.shape[1] - 1))
-    steps = np.diff(position[:, first:], axis=1) @ along / frame_interval(trajectory)
+    steps = np.diff(position[:, first:], axis=1) @ along / shared(trajectory.interval)
     velocity = block_average(steps.mean(axis=2), blocks)
     if flow.reaction == "others":
         force = force / (1.0 - driven_share(trajectory))
@@ -98,18 +99,17 @@ def _driven(trajectory, name: str, what: str):
     flow = trajectory.flow
     if not isinstance(flow, Drive) or not np.any(np.asarray(getattr(flow, name))):
         raise ValueError(f"this run had no driving {what}; run it with flow=dpd.drive({what}=...)")
-    vectors = np.asarray(getattr(flow, name), float).reshape(-1, 3)
-    if np.ptp(vectors, axis=0).any() or trajectory.fluid.is_batch:
-        raise ValueError("the members of this batch differ; measure them one by one: trajectory.members()")
-    size = float(np.linalg.norm(vectors[0]))
-    return flow, size, vectors[0] / size
+    refuse_scan(trajectory)
+    vector = np.asarray(getattr(flow, name), float).reshape(-1, 3)[0]
+    size = float(np.linalg.norm(vector))
+    return flow, size, vector / size
 
 
 def _result(trajectory, velocity: Estimate, strength: float, readings: int, turns: bool) -> Driven:
     """``readings``: of the velocity, one for each sphere and frame."""
     kT = float(np.ravel(trajectory.fluid.kT)[0])
     diffusion = velocity.scaled(kT / strength)
-    _check_error(diffusion, kT / strength, readings * frame_interval(trajectory))
+    _check_error(diffusion, kT / strength, readings * shared(trajectory.interval))
     friction = Estimate(strength, 0.0, velocity.blocks).over(velocity) if velocity.value else Estimate(math.inf, math.inf)
     return Driven(diffusion, velocity, friction, turns)
 

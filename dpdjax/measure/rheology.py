@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, from_replicas
 
 
@@ -70,9 +71,8 @@ def _oscillation(trajectory):
     flow = trajectory.flow
     if not hasattr(flow, "frequency"):
         raise ValueError("moduli need a run with flow=dpd.oscillatory_shear(amplitude, frequency)")
-    if np.ndim(flow.amplitude) or np.ndim(flow.frequency) or trajectory.fluid.is_batch:
-        raise ValueError("the batch scans over numbers; measure its members one by one, trajectory.members()")
-    return float(flow.amplitude), float(flow.frequency)
+    refuse_scan(trajectory)
+    return shared(flow.amplitude), shared(flow.frequency)
 
 
 def _common_time(frames):

@@ -74,7 +74,7 @@ def spheres(trajectory, *, species: int = 1) -> Spheres:
 
     Raises:
         ValueError: no recorded positions, or of other beads; a sheared run without ``strain``; a species that
-            is not there or has no radius; members of a batch in different boxes or at different times.
+            is not there or has no radius; a scan over numbers; members of a batch in different boxes or at different times.
     """
     beads = chosen_beads(trajectory, species)
     radius = trajectory.fluid.radius[species]

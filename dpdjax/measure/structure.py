@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import box as boxes
+from dpdjax.measure.replicas import refuse_scan
 from dpdjax.measure.statistics import Estimate
 
 PAIRS_AT_ONCE = 2**20
@@ -131,12 +132,13 @@ def recorded(trajectory, name: str, *, sheared: bool = False, observe: str = "dp
 
     ``observe``: what records it, for the message; ``components``: of the vector.
 
-    Raises ValueError where the run did not record ``name``, failed, or was sheared, unless such a one will do.
+    Raises ValueError where the run did not record ``name``, failed, scans over numbers, or was sheared, unless such a one will do.
     """
     if not sheared and np.any(np.asarray(trajectory.flow.rate) != 0):
         raise ValueError("the run was sheared: its box changes from frame to frame; measure this without shear")
     if name not in trajectory.frames:
         raise ValueError(f"the run recorded no {name!r} but {', '.join(trajectory.frames)}; use observe={observe}")
+    refuse_scan(trajectory)
     return as_frames(trajectory.frames[name], name, components)
 
 

@@ -11,6 +11,7 @@ import warnings
 
 import numpy as np
 
+from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate, from_replicas
 from dpdjax.measure.structure import PIECES, chosen_beads, draw, of_beads, pieces_of_member, recorded, species_of, standard_error
 
@@ -178,7 +179,7 @@ def correlated(trajectory, members, shape, correlate, t_max):
     ``members``: an iterable of values (frames, beads, 3), ``shape`` that of all of them.
     """
     batch, frames = shape[:2]
-    interval = frame_interval(trajectory)
+    interval = shared(trajectory.interval)
     longest = _longest_lag(frames, batch, interval, t_max)
     each = pieces_of_member(batch, frames, longest)
     curves = [correlate(piece, longest) for member in members for piece in np.split(member[: frames // each * each], each)]
@@ -197,14 +198,6 @@ def _longest_lag(frames, batch, interval, t_max):
         run = interval * (frames - 1)
         raise ValueError(f"longest lag {t_max:.4g} is outside the run; frames are {interval:.4g} apart over {run:.4g}")
     return longest
-
-
-def frame_interval(trajectory) -> float:
-    """Time between two frames; ValueError where the members of a batch differ."""
-    intervals = np.ravel(np.asarray(trajectory.interval, float))
-    if not np.allclose(intervals, intervals[0]):
-        raise ValueError("members of the batch have different time steps; measure them one by one")
-    return float(intervals[0])
 
 
 def _of_species(trajectory, name: str, species):

@@ -7,14 +7,13 @@
 | ``einstein_helfand``        | ``observe=dpd.einstein_helfand_record``       | equilibrium; every step summed  |
 | ``sinusoidal_viscosity``    | ``observe=dpd.sine_record(waves)``            | needs no stress; k -> 0 by hand |
 
-A batched trajectory is taken as replicas of one system: its members are pooled.
+A batched trajectory is taken as replicas of one system: its members are pooled, and a scan over numbers is refused.
 """
 
 import functools
 import math
 from collections.abc import Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -29,6 +28,7 @@ from dpdjax.engine.observables import (
     total_pressure,
 )
 from dpdjax.engine.record import Recorder, integral, mean
+from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
 
@@ -182,7 +182,7 @@ def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> 
         raise ValueError("this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)")
     velocity = block_average(_later(trajectory, skip, need="wave_velocity")["wave_velocity"], blocks)
     density = trajectory.final.n / _constants(trajectory)[1]
-    eta = density * _shared(numbers["amplitude"]) / (velocity.value * _shared(numbers["wavenumber"]) ** 2)
+    eta = density * shared(numbers["amplitude"]) / (velocity.value * shared(numbers["wavenumber"]) ** 2)
     return Estimate(eta, abs(eta) * velocity.error / abs(velocity.value), velocity.blocks)
 
 
@@ -205,37 +205,16 @@ RECORD_OF = {
     "flux_integral": "dpd.einstein_helfand_record",
     "wave_velocity": "dpd.sine_record()",
 }
-_DIFFER = "the members of this batch differ; measure each: [dpd.shear_viscosity(m) for m in run.members()]"
 
 
 def _one_rate(trajectory) -> float:
     if hasattr(trajectory.flow, "frequency"):
         raise ValueError("the shear of this run oscillates; use dpd.moduli(trajectory).viscosity")
-    _refuse_scan(trajectory)
-    rate = _shared(trajectory.flow.rate)
+    refuse_scan(trajectory)
+    rate = shared(trajectory.flow.rate)
     if rate == 0:
         raise ValueError("this run had no shear; run it with flow=dpd.shear(rate)")
     return rate
-
-
-def _shared(numbers) -> float:
-    """The value of a number that all members of a batch share; ValueError where they differ."""
-    values = np.unique(np.asarray(numbers, float))
-    if values.size > 1:
-        raise ValueError(_DIFFER)
-    return float(values[0])
-
-
-def _refuse_scan(trajectory):
-    """Raise where the members of a batch differ in a number of the fluid, the time step or the rate."""
-    for numbers in (trajectory.dt, trajectory.flow.rate):
-        _shared(numbers)
-
-    def check(axis, leaf):
-        if axis is not None and np.ptp(np.asarray(leaf), axis=0).any():
-            raise ValueError(_DIFFER)
-
-    jax.tree.map(check, trajectory.fluid.batch_axes(), trajectory.fluid, is_leaf=lambda axis: axis is None)
 
 
 def _later(trajectory, skip, need=None) -> dict:
@@ -250,9 +229,9 @@ def _later(trajectory, skip, need=None) -> dict:
 
 def _constants(trajectory):
     """Time step, volume and kT of replicas of one system."""
-    _refuse_scan(trajectory)
+    refuse_scan(trajectory)
     lengths = np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]
-    return _shared(trajectory.dt), float(lengths.prod()), _shared(trajectory.fluid.kT)
+    return shared(trajectory.dt), float(lengths.prod()), shared(trajectory.fluid.kT)
 
 
 def _irreducible(tensors):

@@ -128,7 +128,7 @@ def readings(case: Case, run) -> dict:
         found |= {"Dr_torque": driven.diffusion.value, "omega": driven.velocity.value}
     # Motion across the drive, along y and z, is that of equilibrium: two of the three directions that D is the mean of.
     axes = np.sqrt([0.0, 1.5, 1.5] if case.flow else [1.0, 1.0, 1.0])
-    interval = transport.frame_interval(run)
+    interval = float(run.interval)
     time = interval * np.arange(round(case.fit[1] / interval) + 1)
     named = {"D": (run.frames["unwrapped"], run.frames["velocity"])}
     named["Dr"] = angle_turned(run.frames["orientation"]), run.frames["angular_velocity"]
