@@ -12,7 +12,7 @@ import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.observables import drag_pressure
-from dpdjax.engine.start import placed
+from dpdjax.engine.start import placed, plan_lists
 
 
 def refused(kind, *parts):
@@ -52,7 +52,7 @@ def test_each_pair_of_groups_has_its_own_law():
     fluid, box = mixture(), boxes.box(6.0)
     x = np.array([1.0, 1.6, 2.2, 2.4])
     position = jnp.asarray(np.stack([x, 0 * x + 1, 0 * x + 1], axis=1))
-    state = placed(fluid, jax.random.key(0), box, position, (1, 1, 2), skin=0.1, dt=0.01)
+    state = placed(fluid, jax.random.key(0), box, position, (1, 1, 2), plan_lists(fluid, box, (1, 1, 2), skin=0.1))
     assert [n.grid.groups for n in state.neighbours] == [((0, 2), (0, 2)), ((0, 2), (2, 4))]
     force, _, _ = jax.jit(lambda s: pair_force(fluid, s, s.velocity, 0.0, jax.random.key(0), 0.01))(state)
     expected = np.zeros(4)
@@ -293,7 +293,7 @@ def test_colloids_of_traced_numbers(colloids):
     """Forces on two touching colloids and two solvent beads, over kT, D0 and eta_0 at once, and their slopes."""
     box, key = boxes.box(8.0), jax.random.key(0)
     position = jnp.array([[1.0, 1.0, 2.1], [1.0, 1.0, 7.8], [1.0, 1.0, 1.0], [3.02, 1.0, 1.0]])
-    state = placed(colloids, key, box, position, (2, 2), skin=0.1, dt=1e-3, sheared=False)
+    state = placed(colloids, key, box, position, (2, 2), plan_lists(colloids, box, (2, 2), skin=0.1, sheared=False))
 
     def force(kT, D0, eta_0):
         fluid = dpd.colloid_fluid(**NUMBERS | dict(kT=kT, D0=D0, eta_0=eta_0))

@@ -13,7 +13,7 @@ import pytest
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine.rotation import axis_of
-from dpdjax.engine.start import placed
+from dpdjax.engine.start import placed, plan_lists
 
 SIDES, DT = np.array([5.0, 4.5, 6.0]), 0.002
 FLOW, PLAN = dpd.shear(1.0), dpd.Plan(8, 40)
@@ -34,7 +34,8 @@ def fluid():
 def state(fluid, key):
     size = np.concatenate([np.ones(COUNTS[0]), np.linspace(0.7, 1.2, COUNTS[1])])
     position = jax.random.uniform(key, (sum(COUNTS), 3)) * SIDES[None]
-    return placed(fluid, key, boxes.box(SIDES), position, COUNTS, size=size, skin=0.15, dt=DT)
+    box = boxes.box(SIDES)
+    return placed(fluid, key, box, position, COUNTS, plan_lists(fluid, box, COUNTS, size=size, skin=0.15), size=size)
 
 
 @pytest.fixture(scope="module")

@@ -480,7 +480,7 @@ def test_the_stress_across_is_the_flux_of_momentum(key):
         (dict(box=7.0), r"below 2 \(reach \+ skin\)"),
         (dict(box=10.0, count=0), "count is 0"),
         (dict(box=10.0, count=9), "do not fit"),
-        (dict(box=10.0, count=2), r"below 2 \(2 radius \+ gap\)"),
+        (dict(box=10.0, count=2), r"below 2 \(reach \+ skin\).*use a side of at least 1[2-9]"),
         (dict(box=10.0, coupling="sticky"), "coupling is 'sticky'"),
         (dict(box=10.0, gamma_cs=-1.0), "gamma_cs is -1.0"),
         (dict(box=10.0, inertia=0.0), "inertia is 0.0"),

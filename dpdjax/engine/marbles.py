@@ -9,7 +9,7 @@ from dpdjax.checks import positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt
-from dpdjax.engine.start import placed
+from dpdjax.engine.start import placed, plan_lists
 from dpdjax.engine.state import State
 from dpdjax.model.colloids import COLLOID, sphere_volume
 from dpdjax.model.fluid import Fluid
@@ -94,9 +94,10 @@ def marbles(
     # Outside the wall, where its energy is at most epsilon.
     clearance = max(0.0, wall["r_0"] + wall["sigma"] - float(radius)) * (1 + 1e-6)
     counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
-    position = packing.arrange(key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance)
     dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
-    made = Marbles(fluid, placed(fluid, key, space, position, counts, skin=skin, dt=dt, sheared=sheared), dt)
+    grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)
+    position = packing.arrange(key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance)
+    made = Marbles(fluid, placed(fluid, key, space, position, counts, grids), dt)
     if report is not None:
         report(str(made))
     return made

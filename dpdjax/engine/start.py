@@ -10,7 +10,7 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt, suggest_skins
 from dpdjax.engine.rotation import Rotation
-from dpdjax.engine.state import State, assemble
+from dpdjax.engine.state import State, assemble, inertia_of
 from dpdjax.model.fluid import Fluid
 
 POSITION_DOMAIN, VELOCITY_DOMAIN, SPIN_DOMAIN = 2, 3, 8
@@ -74,19 +74,19 @@ def initial_state(
             "fluid outside vmap or grad, then scan or differentiate the run"
         )
     counts = _counts(fluid, np.asarray(box.lengths, float), density, n, fractions)
+    # Planned first: what a box is too small for is told before anything is placed in it.
+    grids = plan_lists(fluid, box, counts, skin=skin, dt=dt, sheared=sheared)
     spheres = fluid.has_radii and start == "random"
     position = _spheres_and_points(fluid, key, box, counts) if spheres else _positions(start, key, box, sum(counts))
-    return placed(fluid, key, box, position, counts, skin=skin, dt=dt, sheared=sheared)
+    return placed(fluid, key, box, position, counts, grids)
 
 
-def placed(fluid: Fluid, key, box: boxes.Box, position, counts, *, size=None, skin=None, dt=None, sheared=True) -> State:
-    """A state of beads at given positions (n, 3), ``counts`` of each species in turn; see :func:`initial_state`.
+def plan_lists(fluid: Fluid, box: boxes.Box, counts, *, size=None, skin=None, dt=None, sheared=True) -> tuple[lists.Grid, ...]:
+    """The grid of each interaction's list for ``counts`` beads of each species in turn; arguments as in :func:`initial_state`.
 
-    ``size`` (n,): relative sizes of the beads.
+    ``size`` (n,): relative sizes of the beads. Raises ValueError for a box below ``2 (reach + skin)``.
     """
-    total = sum(counts)
-    species = np.repeat(np.arange(len(counts)), counts)
-    size = np.ones(total) if size is None else np.asarray(size, float)
+    species, size = _in_turn(counts, size)
     lengths = np.asarray(box.lengths, float)
     dt = suggest_dt(fluid, np.asarray(counts) / lengths.prod()) if dt is None else dt
     reaches = fluid.reaches([size[species == k].max(initial=1.0) for k in range(len(counts))])
@@ -95,11 +95,25 @@ def placed(fluid: Fluid, key, box: boxes.Box, position, counts, *, size=None, sk
         skins = _fitting(suggest_skins(fluid, dt, counts, lengths.prod()), reaches, room)
     else:
         skins = [float(not_negative(skin, "skin"))]
-    grids = _grids(fluid, lengths, counts, reaches, skins, sheared)
+    return _grids(fluid, lengths, counts, reaches, skins, sheared)
+
+
+def placed(fluid: Fluid, key, box: boxes.Box, position, counts, grids: tuple[lists.Grid, ...], *, size=None) -> State:
+    """A state of beads at given positions (n, 3), ``counts`` of each species in turn, with lists on ``grids``.
+
+    ``size`` (n,): relative sizes of the beads.
+    """
+    species, size = _in_turn(counts, size)
     species, size = jnp.asarray(species, jnp.int32), jnp.asarray(size, box.lengths.dtype)
     velocity = _velocities(key, fluid.mass[species] * size**3, fluid.kT)
-    rotation = _rotation(fluid, key, counts, size) if fluid.rotating else None
+    rotation = _rotation(fluid, key, counts, species, size) if fluid.rotating else None
     return assemble(box, position, velocity, species, grids, size, fluid.origins, rotation)
+
+
+def _in_turn(counts, size):
+    """Species and relative sizes (n,) of beads that lie together by species."""
+    species = np.repeat(np.arange(len(counts)), counts)
+    return species, np.ones(len(species)) if size is None else np.asarray(size, float)
 
 
 def _fitting(skins, reaches, room: float) -> list[float]:
@@ -107,14 +121,13 @@ def _fitting(skins, reaches, room: float) -> list[float]:
     return [min(skin, max(room - reach, LEAST_SKIN * reach)) for skin, reach in zip(skins, reaches)]
 
 
-def _rotation(fluid, key, counts, size) -> Rotation:
+def _rotation(fluid, key, counts, species, size) -> Rotation:
     """Maxwell angular velocities for the species that rotate."""
     edges = np.concatenate([[0], np.cumsum(counts)])
-    begin, end = int(edges[fluid.rotating[0]]), int(edges[fluid.rotating[-1] + 1])
-    of_species = jnp.stack([fluid.inertia[k] for k in fluid.rotating])
-    inertia = jnp.repeat(of_species, np.asarray([counts[k] for k in fluid.rotating])) * size[begin:end] ** 5
-    draw = jax.random.normal(jax.random.fold_in(key, SPIN_DOMAIN), (end - begin, 3), dtype=inertia.dtype)
-    return Rotation.of(draw * jnp.sqrt(fluid.kT / inertia)[:, None], begin)
+    slots = slice(int(edges[fluid.rotating[0]]), int(edges[fluid.rotating[-1] + 1]))
+    inertia = inertia_of(fluid, species[slots], size[slots])
+    draw = jax.random.normal(jax.random.fold_in(key, SPIN_DOMAIN), (len(inertia), 3), dtype=inertia.dtype)
+    return Rotation.of(draw * jnp.sqrt(fluid.kT / inertia)[:, None], slots.start)
 
 
 def _grids(fluid, lengths, counts, reaches, skins, sheared) -> tuple[lists.Grid, ...]:

@@ -105,10 +105,15 @@ def radii(fluid: Fluid, state: State):
 
 
 def inertias(fluid: Fluid, state: State):
-    """Moment of inertia of each bead that rotates (m,) [mass length^2]; goes as the fifth power of its size."""
-    of_species = jnp.stack([jnp.ones((), state.size.dtype) if x is None else x for x in fluid.inertia])
+    """Moment of inertia of each bead that rotates (m,) [mass length^2]."""
     slots = state.rotation.slots
-    return of_species[state.species[slots]] * state.size[slots] ** 5
+    return inertia_of(fluid, state.species[slots], state.size[slots])
+
+
+def inertia_of(fluid: Fluid, species, size):
+    """Moment of inertia of beads of these species and relative sizes (m,); goes as the fifth power of the size."""
+    of_species = jnp.stack([jnp.ones((), size.dtype) if x is None else x for x in fluid.inertia])
+    return of_species[species] * size**5
 
 
 # One program: operation by operation, a first list takes seconds to compile.

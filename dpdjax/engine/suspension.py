@@ -10,7 +10,7 @@ from dpdjax.checks import positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt
-from dpdjax.engine.start import placed
+from dpdjax.engine.start import placed, plan_lists
 from dpdjax.engine.state import State
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
 from dpdjax.model.fluid import Fluid
@@ -129,8 +129,9 @@ def suspension(
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
     dt = suggest_dt(fluid, np.asarray(counts) / volume, (size.min(), size.max())) if dt is None else float(dt)
+    grids = plan_lists(fluid, space, counts, size=size, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(key, space, np.concatenate([np.zeros(solvents), radii]))
-    state = placed(fluid, key, space, position, counts, size=size, skin=skin, dt=dt, sheared=sheared)
+    state = placed(fluid, key, space, position, counts, grids, size=size)
     made = Suspension(fluid, state, placed_phi, float(diffusion_time(fluid)), dt)
     if report is not None:
         report(str(made))

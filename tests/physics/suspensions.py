@@ -22,7 +22,7 @@ import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine import packing
 from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
-from dpdjax.engine.start import placed
+from dpdjax.engine.start import placed, plan_lists
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
 KEY = jax.random.key(2026)
@@ -82,7 +82,9 @@ def _held_pairs(fluid, h0, side=8, count=8):
     cell = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), -1).reshape(-1, 3) * float(side) + 0.5 * side
     axis = np.array([2.0 + h0, 0.0, 0.0])
     position = np.stack([cell - 0.5 * axis, cell + 0.5 * axis], axis=1).reshape(-1, 3)
-    state = placed(fluid, KEY, boxes.box(float(side * count)), jnp.asarray(position, jnp.float32), [len(position)], sheared=False)
+    space, counts = boxes.box(float(side * count)), [len(position)]
+    grids = plan_lists(fluid, space, counts, sheared=False)
+    state = placed(fluid, KEY, space, jnp.asarray(position, jnp.float32), counts, grids)
     v = state.velocity[0::2]
     velocity = jnp.stack([v, -v], axis=1).reshape(-1, 3)
     return dataclasses.replace(state, velocity=velocity), KEY
@@ -341,7 +343,8 @@ def _pair_in_solvent(fluid, key, side, solvents, h, dt):
     space = boxes.box(side)
     centres = 0.5 * side + jnp.array([[-0.5], [0.5]]) * jnp.array([[2.0 + h, 0.0, 0.0]])
     beads = packing.fill(key, space, centres, np.ones(2), solvents)
-    return placed(fluid, key, space, jnp.concatenate([beads, centres]), (len(beads), 2), dt=dt, sheared=False)
+    grids = plan_lists(fluid, space, (len(beads), 2), dt=dt, sheared=False)
+    return placed(fluid, key, space, jnp.concatenate([beads, centres]), (len(beads), 2), grids)
 
 
 HEADING = """# Colloids at production accuracy
