@@ -106,8 +106,8 @@ def test_error_grows_away_from_the_points():
 
 def test_roots_and_minimum_of_a_parabola():
     curve = Curve(1.0, np.array([2.0, 0.0, 1.0]), np.eye(3), -2.0, 4.0)
-    assert curve.roots(3.0, UPPER) == [pytest.approx(2.0, abs=1e-3)]
-    assert curve.roots(3.0, LOWER) == [pytest.approx(0.0, abs=1e-3)]
+    assert curve.roots(3.0, UPPER) == [pytest.approx(2.0, abs=1e-6)]
+    assert curve.roots(3.0, LOWER) == [pytest.approx(0.0, abs=1e-6)]
     assert curve.roots(1.0, UPPER) == []
     assert curve.minimum() == pytest.approx(1.0, abs=1e-3)
     assert Curve(1.0, np.array([2.0, 1.0]), np.eye(2), -2.0, 4.0).minimum() is None

@@ -51,10 +51,11 @@ class Curve:
     def roots(self, target: float, sign: int) -> list[float]:
         """Where the curve crosses ``target`` with a slope of the given sign, within its reach."""
         x = np.linspace(self.low, self.high, 4001)
-        above = self(x) > target
-        crossings = np.nonzero(above[1:] != above[:-1])[0]
-        middle = 0.5 * (x[crossings] + x[crossings + 1])
-        return [float(m) for m in middle if np.sign(self.slope(m)) == sign]
+        excess = self(x) - target
+        k = np.nonzero((excess[1:] > 0) != (excess[:-1] > 0))[0]
+        # So close the curve is straight, and a chord exact to rounding.
+        crossings = x[k] + (x[k + 1] - x[k]) * excess[k] / (excess[k] - excess[k + 1])
+        return [float(root) for root in crossings if np.sign(self.slope(root)) == sign]
 
     def minimum(self) -> float | None:
         """Where the curve is lowest, if that is inside its reach and not at the rim."""
