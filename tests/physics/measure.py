@@ -1,6 +1,6 @@
 """Physics at production accuracy: measures, writes results.json, and RESULTS.md from it.
 
-    python tests/physics/measure.py              # everything, about an hour on 2 cores
+    python tests/physics/measure.py              # everything, about an hour and a half on 2 cores
     python tests/physics/measure.py pressure ... # only these
 
 Single precision, as users run. The slow tests call this and judge the numbers.
