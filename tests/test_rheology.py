@@ -140,10 +140,11 @@ def scan(**how):
         (lambda: scan(flow=dpd.oscillatory_shear(0.1, jnp.array([1.0, 2.0]))), "differ in frequency"),
         (lambda: scan(fluid=WATER.set(gamma=jnp.array([1.0, 2.0]))), "differ in gamma"),
         (lambda: trajectory(np.zeros((2, 99)), DT * np.outer([1, 2], np.arange(99)), dt=[DT, 2 * DT]), "differ in dt"),
+        (lambda: trajectory(np.zeros((2, 99)), DT * (np.arange(99) + np.array([[0], [1]]))), "at different times"),
         (lambda: means(every=70), "6.9 frames in a cycle are too few; record at least 8, with every=60"),
         (lambda: means(cycles=2), "1 whole cycles after the first 1 give no error bar; run at least 3"),
     ],
-    ids=["steady", "quiet", "amplitudes", "frequencies", "fluids", "steps", "sparse", "short"],
+    ids=["steady", "quiet", "amplitudes", "frequencies", "fluids", "steps", "starts", "sparse", "short"],
 )
 def test_runs_that_tell_no_moduli(run, message):
     with pytest.raises(ValueError, match=message):
