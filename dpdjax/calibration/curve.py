@@ -53,7 +53,7 @@ class Curve:
         x = np.linspace(self.low, self.high, 4001)
         excess = self(x) - target
         k = np.nonzero((excess[1:] > 0) != (excess[:-1] > 0))[0]
-        # So close the curve is straight, and a chord exact to rounding.
+        # Between points so close the curve is straight to a ten-millionth of x.
         crossings = x[k] + (x[k + 1] - x[k]) * excess[k] / (excess[k] - excess[k + 1])
         return [float(root) for root in crossings if np.sign(self.slope(root)) == sign]
 

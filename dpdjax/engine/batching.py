@@ -1,4 +1,4 @@
-"""Parts of a program that XLA is to keep apart: stages, and branches that stay branches under ``vmap``."""
+"""What of a run is a batch, and parts of a program XLA is to keep apart: stages, branches that stay so under ``vmap``."""
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,11 @@ def apart(function, inputs, number):
     shapes = jax.eval_shape(function, *inputs)
     empty = lambda *_: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     return jax.lax.cond(jnp.isfinite(number), function, empty, *inputs)
+
+
+def batch_axes(fluid, dt, flow):
+    """The ``in_axes`` for ``jax.vmap`` of the numbers of a run: 0 for those with an axis of their own, which are a batch."""
+    return fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes()
 
 
 def each_member(function, axes=0):

@@ -9,7 +9,7 @@ import numpy as np
 
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine import status as bits
-from dpdjax.engine.batching import each_member
+from dpdjax.engine.batching import batch_axes, each_member
 from dpdjax.engine.simulate import Plan, advance
 from dpdjax.engine.state import State, grow
 
@@ -67,5 +67,4 @@ def _compiled(fluid, dt, flow, lam, state, key, plan, observe):
 
     if not key.ndim:
         return one(fluid, dt, flow, state, key)
-    axes = (fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes(), 0, 0)
-    return each_member(one, axes)(fluid, dt, flow, state, key)
+    return each_member(one, (*batch_axes(fluid, dt, flow), 0, 0))(fluid, dt, flow, state, key)

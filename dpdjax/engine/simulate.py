@@ -11,6 +11,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import advice, order
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
+from dpdjax.engine.batching import batch_axes
 from dpdjax.engine.record import Recorder, averaged, recorders
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
@@ -79,15 +80,13 @@ class Trajectory:
         """The trajectories of a batch one by one, each with its own numbers."""
         if not self.is_batch:
             return [self]
-        axes = (self.fluid.batch_axes(), self.flow.batch_axes(), 0 if jnp.ndim(self.dt) else None)
+        numbers = self.fluid, self.dt, self.flow
+        axes = batch_axes(*numbers)
 
         def pick(k):
             take = lambda tree: jax.tree.map(lambda leaf: leaf[k], tree)
-            fluid, flow, dt = (
-                jax.tree.map(lambda axis, leaf: leaf if axis is None else leaf[k], ax, tree, is_leaf=lambda x: x is None)
-                if ax is not None else tree
-                for ax, tree in zip(axes, (self.fluid, self.flow, self.dt))
-            )
+            own = lambda axis, leaf: leaf if axis is None else leaf[k]
+            fluid, dt, flow = jax.tree.map(own, axes, numbers, is_leaf=lambda axis: axis is None)
             return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
 
         return [pick(k) for k in range(self.final.position.shape[0])]

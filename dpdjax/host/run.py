@@ -12,6 +12,7 @@ from dpdjax.checks import prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
+from dpdjax.engine.batching import batch_axes
 from dpdjax.engine.chunk import batched, complete_lists, replayed
 from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
@@ -101,7 +102,7 @@ def next_chunk(size: int, left: int) -> int:
 
 def _check_members(fluid, dt, flow, key):
     """Raise unless there is a key for each member of a scan over numbers."""
-    axes = (fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes())
+    axes = batch_axes(fluid, dt, flow)
     length = lambda axis, leaf: None if axis is None else len(leaf)
     lengths = jax.tree.map(length, axes, (fluid, dt, flow), is_leaf=lambda axis: axis is None)
     for members in jax.tree.leaves(lengths):

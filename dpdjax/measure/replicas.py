@@ -3,25 +3,22 @@
 import jax
 import numpy as np
 
+from dpdjax.engine.batching import batch_axes
+
 
 def refuse_scan(trajectory):
     """Raise ValueError, naming them, where members of a batch differ in numbers of the fluid or the flow, or in the time step."""
-    names = []
+    numbers = trajectory.fluid, trajectory.interval, trajectory.flow
+    named = [dict(zip(("fluid", "dt", "flow"), trees)) for trees in (batch_axes(*numbers), numbers)]
 
-    def look(path, axis, leaf):
-        if axis is not None and np.ptp(np.asarray(leaf), axis=0).any():
-            names.append(_name(path))
+    def differing(path, axis, leaf):
+        return _name(path) if axis is not None and np.ptp(np.asarray(leaf), axis=0).any() else None
 
-    interval = {"dt": trajectory.interval}
-    spaced = {"dt": 0} if np.ndim(trajectory.interval) else None
-    for axes, tree in (
-        (trajectory.fluid.batch_axes(), trajectory.fluid), (trajectory.flow.batch_axes(), trajectory.flow), (spaced, interval)
-    ):  # fmt: skip
-        if axes is not None:
-            jax.tree_util.tree_map_with_path(look, axes, tree, is_leaf=lambda axis: axis is None)
+    found = jax.tree_util.tree_map_with_path(differing, *named, is_leaf=lambda axis: axis is None)
+    names = dict.fromkeys(jax.tree.leaves(found))
     if names:
         raise ValueError(
-            f"the members of this batch differ in {', '.join(dict.fromkeys(names))}; "
+            f"the members of this batch differ in {', '.join(names)}; "
             "measure them one by one: [measure(member) for member in run.members()]"
         )
 
