@@ -33,9 +33,12 @@ class Box:
 
     def strained(self, increment) -> "Box":
         """The box after a further shear strain."""
+        return Box(self.lengths, self.strain + increment).folded()
+
+    def folded(self) -> "Box":
+        """The same lattice, with its strain within half a period ``Lx/Ly`` of zero."""
         period = self.lengths[0] / self.lengths[1]
-        strain = self.strain + increment
-        return Box(self.lengths, strain - period * jnp.round(strain / period))
+        return Box(self.lengths, self.strain - period * jnp.round(self.strain / period))
 
 
 def box(lengths) -> Box:

@@ -67,7 +67,7 @@ def in_order_of(state: State, ids) -> State:
 
 def permuted(state: State, order) -> State:
     """The beads ``order`` (n,), a permutation of the slots; lists keep their pairs and their order."""
-    names = ("position", "velocity", "force", "image", "id", "species", "size")
+    names = ("position", "position_rest", "velocity", "force", "image", "id", "species", "size")
     slot = jnp.append(cells.inverse(order), state.n)
     neighbours = tuple(_renumbered(n, order, slot) for n in jax.lax.stop_gradient(state.neighbours))
     beads = {name: getattr(state, name)[order] for name in names}

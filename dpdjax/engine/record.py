@@ -6,6 +6,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from dpdjax.engine.compensated import plus
 from dpdjax.engine.observables import standard
 
 
@@ -21,26 +22,35 @@ class Recorder:
         return self.how != "last"
 
     def zero(self, fluid, state):
-        """An empty sum, of the shape the observable has."""
+        """An empty sum, of the shape the observable has, and what rounding has left out of it."""
         if not self.accumulates:
             return ()
-        shapes = jax.eval_shape(self.now, fluid, state)
-        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+        zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(self._summand, fluid, state))
+        return zeros, zeros
 
-    def add(self, total, fluid, state):
-        return jax.tree.map(jnp.add, total, self.now(fluid, state)) if self.accumulates else ()
+    def add(self, sums, fluid, state):
+        """The sums with the present value; plain ones would lose a per cent over a million steps in single precision."""
+        if not self.accumulates:
+            return ()
+        totals, rests = sums
+        pairs = jax.tree.map(plus, totals, rests, self._summand(fluid, state))
+        return jax.tree.transpose(jax.tree.structure(totals), None, pairs)
 
     def now(self, fluid, state) -> dict:
         """The observable by name; one that returns an array goes under its own."""
         value = self.observe(fluid, state)
         return value if isinstance(value, dict) else {getattr(self.observe, "__name__", "value"): value}
 
-    def value(self, fluid, state, total, dt, every):
-        if self.how == "mean":
-            return jax.tree.map(lambda t: t / every, total)
-        if self.how == "integral":
-            return jax.tree.map(lambda t: t * dt, total)
-        return self.now(fluid, state)
+    def value(self, fluid, state, sums, dt, every):
+        if not self.accumulates:
+            return self.now(fluid, state)
+        of_total = (lambda total: total / every) if self.how == "mean" else (lambda total: total * dt)
+        return jax.tree.map(of_total, sums[0])
+
+    def _summand(self, fluid, state) -> dict:
+        """The observable as floating numbers: a sum of truths would be a truth."""
+        floating = lambda x: x if jnp.issubdtype(jnp.result_type(x), jnp.inexact) else jnp.asarray(x, state.position.dtype)
+        return jax.tree.map(floating, self.now(fluid, state))
 
 
 def averaged(how: list[Recorder], fluid, state) -> tuple[str, ...]:

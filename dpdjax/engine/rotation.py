@@ -16,19 +16,21 @@ class Rotation:
         velocity: angular velocity (m, 3) [1/time].
         torque: of the last step, (m, 3) [energy].
         orientation: unit quaternions (m, 4), the scalar first; turns the body's axes into the lab's.
+        orientation_rest: what rounding has left out of them, (m, 4).
         begin: slot of the first of them (static).
     """
 
     velocity: Any
     torque: Any
     orientation: Any
+    orientation_rest: Any
     begin: int = dataclasses.field(metadata={"static": True})
 
     @classmethod
     def of(cls, velocity, begin: int) -> "Rotation":
         """Beads with these angular velocities (m, 3) and the axes of the lab."""
         orientation = jnp.zeros((len(velocity), 4), velocity.dtype).at[:, 0].set(1.0)
-        return cls(velocity, jnp.zeros_like(velocity), orientation, begin)
+        return cls(velocity, jnp.zeros_like(velocity), orientation, jnp.zeros_like(orientation), begin)
 
     @property
     def m(self) -> int:
@@ -52,9 +54,9 @@ def axis_of(orientation):
     return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def turned(orientation, angle):
-    """Quaternions (m, 4) after a small turn by the vectors ``angle`` (m, 3) [radian]; wrong by angle^3/12."""
+def turn_by(orientation, angle):
+    """What a small turn by the vectors ``angle`` (m, 3) [radian] adds to unit quaternions (m, 4); wrong by angle^3/12."""
     w, v, half = orientation[:, :1], orientation[:, 1:], 0.5 * angle
-    w, v = w - jnp.sum(half * v, axis=1, keepdims=True), v + w * half + jnp.cross(half, v)
-    new = jnp.concatenate([w, v], axis=1)
-    return new / jnp.linalg.norm(new, axis=1, keepdims=True)
+    step = jnp.concatenate([-jnp.sum(half * v, axis=1, keepdims=True), w * half + jnp.cross(half, v)], axis=1)
+    longer = orientation + step
+    return step + longer * (1.0 / jnp.linalg.norm(longer, axis=1, keepdims=True) - 1.0)

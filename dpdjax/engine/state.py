@@ -53,7 +53,8 @@ class State:
         box: lengths and strain.
         step: absolute number of the step, which keys the noise.
         time: elapsed time, which body forces and oscillations depend on.
-        time_rest: what rounding has left out of ``time``.
+        position_rest, strain_rest, time_rest: what rounding has left out of the positions (n, 3), the strain of the box and
+            the time, which grow by many small steps.
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
         rotation: of the beads that rotate, or None.
@@ -71,6 +72,8 @@ class State:
     box: boxes.Box
     step: Any
     time: Any
+    position_rest: Any
+    strain_rest: Any
     time_rest: Any
     neighbours: tuple[lists.Neighbours, ...]
     tally: Tally
@@ -146,6 +149,8 @@ def assemble(
         box=box,
         step=integers,
         time=jnp.zeros((), position.dtype),
+        position_rest=jnp.zeros_like(position),
+        strain_rest=jnp.zeros((), position.dtype),
         time_rest=jnp.zeros((), position.dtype),
         neighbours=tuple(lists.allocate(grid, box, position) for grid in grids),
         tally=Tally.zero(position.dtype, origins),

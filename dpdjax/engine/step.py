@@ -9,8 +9,9 @@ from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine.batching import any_in_batch
+from dpdjax.engine.compensated import plus
 from dpdjax.engine.forces import pair_force
-from dpdjax.engine.rotation import turned
+from dpdjax.engine.rotation import turn_by
 from dpdjax.engine.state import State, inertias, masses
 
 
@@ -50,7 +51,7 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     | in the method                       | here                                   |
     |-------------------------------------|----------------------------------------|
     | r += dt v + dt^2 f / 2m             | ``move``, with v = c + rate y e_x      |
-    | strain += rate dt                   | ``flow.strain_in``, ``box.strained``   |
+    | strain += rate dt                   | ``flow.strain_in``, ``moved_on``       |
     | v~ = v + lambda dt f / m            | ``predicted``                          |
     | f' = F(r, v~), noise of step + 1    | ``total_force``                        |
     | v += dt (f + f') / 2m               | ``velocity``                           |
@@ -67,11 +68,7 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
         strain = flow.strain_in(state.time, dt)
         move = dt * state.velocity + 0.5 * dt * kick
         carried = state.velocity - _along_x(strain / dt * move[:, 1])
-        position = state.position + move + _along_x(strain * state.position[:, 1])
-        box = state.box.strained(strain)
-        position, crossed = boxes.wrap(box, position)
-    moved = dataclasses.replace(state, position=position, image=state.image + crossed, box=box, step=state.step + 1)
-    moved = update_lists(_later(moved, dt))
+        moved = update_lists(moved_on(state, move, strain, dt))
     predicted = carried + lam * kick
     moved, twist = (moved, None) if state.rotation is None else turning(fluid, moved, dt, lam)
     force, torque, sums = total_force(fluid, moved, predicted, key, dt, flow, tally)
@@ -84,8 +81,9 @@ def turning(fluid, state: State, dt, lam):
     """The state with its spheres turned and their predicted angular velocity, and the kick ``dt T / I`` of the old torque."""
     old = state.rotation
     twist = dt * old.torque / inertias(fluid, state)[:, None]
-    orientation = turned(old.orientation, dt * (old.velocity + 0.5 * twist))
-    new = dataclasses.replace(old, orientation=orientation, velocity=old.velocity + lam * twist)
+    turn = turn_by(old.orientation, dt * (old.velocity + 0.5 * twist))
+    orientation, rest = plus(old.orientation, old.orientation_rest, turn)
+    new = dataclasses.replace(old, orientation=orientation, orientation_rest=rest, velocity=old.velocity + lam * twist)
     return dataclasses.replace(state, rotation=new), twist
 
 
@@ -95,11 +93,16 @@ def rotated(fluid, before: State, moved: State, twist, torque, dt):
     return dataclasses.replace(moved.rotation, velocity=velocity, torque=torque)
 
 
-def _later(state: State, dt) -> State:
-    """The state at ``time + dt``, by compensated summation: plain sums of small steps stop growing."""
-    increment = dt + state.time_rest
-    time = state.time + increment
-    return dataclasses.replace(state, time=time, time_rest=increment - (time - state.time))
+def moved_on(state: State, move, strain, dt) -> State:
+    """The state a step later: beads moved by ``move`` (n, 3), and they and the box by a shear strain."""
+    position, position_rest = plus(state.position, state.position_rest, move + _along_x(strain * state.position[:, 1]))
+    total, strain_rest = plus(state.box.strain, state.strain_rest, strain)
+    time, time_rest = plus(state.time, state.time_rest, dt)
+    box = boxes.Box(state.box.lengths, total).folded()
+    position, crossed = boxes.wrap(box, position)
+    rests = {"position_rest": position_rest, "strain_rest": strain_rest, "time_rest": time_rest}
+    new = {"position": position, "image": state.image + crossed, "box": box, "step": state.step + 1, "time": time}
+    return dataclasses.replace(state, **new, **rests)
 
 
 def _along_x(values):

@@ -13,9 +13,10 @@ from dpdjax.engine.box import Box
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, Tally
 
-FORMAT = 4
-TURNING = ("velocity", "torque", "orientation")
-ARRAYS = ("position", "velocity", "force", "image", "id", "species", "size", "step", "time", "time_rest", "started", "status")
+FORMAT = 5
+TURNING = ("velocity", "torque", "orientation", "orientation_rest")
+ARRAYS = ("position", "velocity", "force", "image", "id", "species", "size", "step", "time", "started", "status")
+ARRAYS += ("position_rest", "strain_rest", "time_rest")
 
 
 def save_state(path, state: State) -> None:
