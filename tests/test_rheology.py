@@ -40,25 +40,6 @@ def test_strain_of_a_small_step_is_right_in_single_precision():
     np.testing.assert_allclose(single, 2 * np.sin(5e-4) * np.cos(time + 5e-4), rtol=1e-6)
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Clock:
-    """What of a state tells the time."""
-
-    time: Any
-    time_rest: Any
-
-
-def test_time_goes_on_in_single_precision():
-    tick = jnp.float32(1e-3)
-    begin = Clock(jnp.float32(0), jnp.float32(0)), jnp.float32(0)
-    both = lambda carry, _: ((_later(carry[0], tick), carry[1] + tick), None)
-    clock, plain = jax.jit(lambda begin: jax.lax.scan(both, begin, length=100_000)[0])(begin)
-    assert clock.time.dtype == jnp.float32
-    assert abs(float(clock.time) / 100 - 1) < 1e-5
-    assert abs(float(plain) / 100 - 1) > 1e-4, "a plain sum is off"
-
-
 # Stress known in closed form.
 
 G, MEMORY = 5.0, 0.4

@@ -69,13 +69,19 @@ def displacement(box: Box, ra, rb):
 
 def wrap(box: Box, position):
     """Positions inside the box and how many sides each was carried over, (n, 3) int32."""
+    wrapped, turns = wrapped_columns(box, position.T)
+    return wrapped.T, turns.T
+
+
+def wrapped_columns(box: Box, position):
+    """:func:`wrap` of positions given by component, (3, n)."""
     lx, ly, lz = box.lengths
-    x, y, z = position[:, 0], position[:, 1], position[:, 2]
+    x, y, z = position
     rows = jnp.floor(y / ly)
     x = x - rows * (box.strain * ly)
     columns, layers = jnp.floor(x / lx), jnp.floor(z / lz)
-    wrapped = jnp.stack([x - lx * columns, y - ly * rows, z - lz * layers], axis=1)
-    return wrapped, jnp.stack([columns, rows, layers], axis=1).astype(jnp.int32)
+    wrapped = jnp.stack([x - lx * columns, y - ly * rows, z - lz * layers])
+    return wrapped, jnp.stack([columns, rows, layers]).astype(jnp.int32)
 
 
 def fractional(box: Box, position):

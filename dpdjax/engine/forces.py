@@ -63,24 +63,26 @@ class Beads(NamedTuple):
         return cls(x, v, state.species, state.id, radius, spin, begin)
 
 
-def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: bool = False) -> Pairs:
+def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: bool = False, words=None) -> Pairs:
     """Distance, gap, direction and relative velocity of each pair of ``idx`` (2, pairs).
 
     ``spheres``: whether the first and the second beads have radii at all; ``across``: whether the velocity
-    perpendicular to the line of centres is wanted (static).
+    perpendicular to the line of centres is wanted (static). ``words`` (n,): what keys the direction of beads at one place.
 
     The lab velocities of two beads differ by their peculiar velocities and by
     ``rate y_ij`` of the nearest image, which is the jump across the y-boundary too.
     """
     n = beads.id.shape[0]
+    # Padded slots are pairs of a bead with itself.
     real = idx[0] < n
     i, j = jnp.minimum(idx[0], n - 1), jnp.minimum(idx[1], n - 1)
     dx, dy, dz = boxes.minimum_image(box, *(take(c, i) - take(c, j) for c in beads.position))
     square = dx * dx + dy * dy + dz * dz
-    real &= square > 0
-    # Padded slots are pairs of a bead with itself: keep zero out of the root and its derivative.
-    inverse = jax.lax.rsqrt(jnp.where(real, square, 1.0))
-    e = (dx * inverse, dy * inverse, dz * inverse)
+    # Beads at one place are a pair too. Zero is kept out of the root and its derivative.
+    apart = square > 0
+    inverse = jax.lax.rsqrt(jnp.where(apart, square, 1.0))
+    somewhere = direction_of(beads.id if words is None else words, i, j, square.dtype)
+    e = tuple(jnp.where(apart, d * inverse, s) for d, s in zip((dx, dy, dz), somewhere))
     vx, vy, vz = (take(c, i) - take(c, j) for c in beads.velocity)
     vx = vx + rate * dy
     approach = e[0] * vx + e[1] * vy + e[2] * vz
@@ -95,6 +97,14 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
             both = tuple(R_i * a + R_j * b for a, b in zip(spin_of(beads, i), spin_of(beads, j)))
             past = tuple(p - c for p, c in zip(past, cross(both, e)))
     return Pairs(idx[0], idx[1], real, r, h, e, approach, past, take(beads.species, i), take(beads.species, j), R_i, R_j)
+
+
+def direction_of(words, i, j, dtype) -> tuple:
+    """One of the diagonals of a cube for each pair, by the words (n,) of its beads; the opposite one where they change places."""
+    a, b = take(words, i), take(words, j)
+    bits = jnp.where(a < b, a + b, ~(a + b)).astype(jnp.uint32)
+    side = jnp.asarray(3.0**-0.5, dtype)
+    return tuple(jnp.where(bits & jnp.uint32(1 << k) == 0, side, -side) for k in (31, 30, 29))
 
 
 def spin_of(beads: Beads, slots) -> tuple:
@@ -204,10 +214,10 @@ def friction_by_origin(interaction: Interaction, pairs: Pairs, kT, projectors: t
     return frictions, sum(frictions.values())
 
 
-def geometry(fluid, box, beads: Beads, interaction: Interaction, idx, rate) -> Pairs:
+def geometry(fluid, box, beads: Beads, interaction: Interaction, idx, rate, words=None) -> Pairs:
     """:func:`pair_geometry` of pairs of one interaction."""
     spheres = tuple(any(fluid.radius[k] is not None for k in group) for group in interaction.groups)
-    return pair_geometry(box, beads, idx, rate, spheres, not interaction.is_central)
+    return pair_geometry(box, beads, idx, rate, spheres, not interaction.is_central, words)
 
 
 def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: Words, dt, tally: bool):
@@ -217,7 +227,7 @@ def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: W
 
     def add(sums, part):
         net, torque, totals = sums
-        pairs = geometry(fluid, box, beads, interaction, part, rate)
+        pairs = geometry(fluid, box, beads, interaction, part, rate, words.bead)
         energy, along = central_forces(interaction, fluid.kT, pairs, words, dt)
         across = None if interaction.is_central else transverse_forces(interaction, fluid.kT, pairs, words, dt)
         push = None if across is None else tuple(map(sum, zip(*across.values())))

@@ -142,8 +142,10 @@ def configurational_temperature(fluid, state):
         force = lambda h: evaluate(interaction.conservative, pairs._replace(h=h), fluid.kT, derivative=True)[1]
         f, slope = jax.jvp(force, (pairs.h,), (jnp.ones_like(pairs.h),))
         gradient += sum_onto_beads(pairs, f, n)
-        curvature = -slope - 2 * f / jnp.where(pairs.real, pairs.r, 1.0)
-        laplacian += 2 * jnp.sum(jnp.where(pairs.real, curvature, 0.0))
+        # Beads at one place, where a Laplacian may be infinite, weigh nothing in the mean.
+        apart = pairs.real & (pairs.r > 0)
+        curvature = -slope - 2 * f / jnp.where(apart, pairs.r, 1.0)
+        laplacian += 2 * jnp.sum(jnp.where(apart, curvature, 0.0))
     return jnp.sum(gradient**2) / laplacian
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
-from dpdjax.engine import advice, order
+from dpdjax.engine import advice, motion, order
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import batch_axes
@@ -147,10 +147,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
         view = seen(state)
         for r, s in zip(how, sums):
             values |= r.value(fluid, view, s, dt, plan.every)
-        broken = ~jnp.all(jnp.isfinite(state.velocity))
-        if state.rotation is not None:
-            broken |= ~jnp.all(jnp.isfinite(state.rotation.velocity))
-        return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
+        return dataclasses.replace(state, status=state.status | motion.trouble(fluid, state, dt)), values
 
     state = started(fluid, state, key, dt, flow)
     state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))

@@ -9,12 +9,15 @@ WINDOW_OVERFLOW = 2
 NOT_FINITE = 4
 REACH_EXCEEDED = 8
 BOX_TOO_SMALL = 16
+RUN_AWAY = 32
 
 MEANINGS = {
     PAIRS_OVERFLOW: "a neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
     WINDOW_OVERFLOW: "a cell of the neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
-    NOT_FINITE: "positions or velocities became NaN or infinite; use a smaller dt",
+    NOT_FINITE: "positions or velocities became NaN or infinite; use a smaller dt, or a start whose beads are further apart",
     REACH_EXCEEDED: "a term reaches further than the list was made for; make the state with this fluid",
+    RUN_AWAY: "the beads ran away, hotter than their energies explain; use a smaller shear rate or dt, or a start whose beads are "
+    'further apart, start="lattice"',
     BOX_TOO_SMALL: "a side of the box fell below 2 (reach + skin); use a larger box or a smaller skin",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW

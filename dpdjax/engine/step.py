@@ -62,19 +62,20 @@ def step(fluid, state: State, key, dt, flow, lam, tally: bool) -> State:
     jump when a bead crosses the boundary. Where the rate changes, the whole box follows at once (SLLOD).
     ``tally`` (static): keep the sums over pairs.
     """
-    mass = masses(fluid, state)[:, None]
-    kick = dt * state.force / mass
+    # By component, (3, n): XLA vectorises along the beads, and along three numbers it cannot.
+    mass, velocity = masses(fluid, state)[None], state.velocity.T
+    kick = dt * state.force.T / mass
     with jax.named_scope("integration"):
         strain = flow.strain_in(state.time, dt)
-        move = dt * state.velocity + 0.5 * dt * kick
-        carried = state.velocity - _along_x(strain / dt * move[:, 1])
+        move = dt * velocity + 0.5 * dt * kick
+        carried = velocity - _along_x(strain / dt * move[1])
         moved = update_lists(moved_on(state, move, strain, dt))
     predicted = carried + lam * kick
     moved, twist = (moved, None) if state.rotation is None else turning(fluid, moved, dt, lam)
-    force, torque, sums = total_force(fluid, moved, predicted, key, dt, flow, tally)
-    velocity = carried + 0.5 * (kick + dt * force / mass)
+    force, torque, sums = total_force(fluid, moved, predicted.T, key, dt, flow, tally)
+    velocity = carried + 0.5 * (kick + dt * force.T / mass)
     rotation = None if twist is None else rotated(fluid, state, moved, twist, torque, dt)
-    return dataclasses.replace(moved, velocity=velocity, force=force, tally=sums, rotation=rotation)
+    return dataclasses.replace(moved, velocity=velocity.T, force=force, tally=sums, rotation=rotation)
 
 
 def turning(fluid, state: State, dt, lam):
@@ -94,16 +95,18 @@ def rotated(fluid, before: State, moved: State, twist, torque, dt):
 
 
 def moved_on(state: State, move, strain, dt) -> State:
-    """The state a step later: beads moved by ``move`` (n, 3), and they and the box by a shear strain."""
-    position, position_rest = plus(state.position, state.position_rest, move + _along_x(strain * state.position[:, 1]))
+    """The state a step later: beads moved by ``move`` (3, n), and they and the box by a shear strain."""
+    move = move + _along_x(strain * state.position[:, 1])
+    position, position_rest = plus(state.position.T, state.position_rest.T, move)
     total, strain_rest = plus(state.box.strain, state.strain_rest, strain)
     time, time_rest = plus(state.time, state.time_rest, dt)
     box = boxes.Box(state.box.lengths, total).folded()
-    position, crossed = boxes.wrap(box, position)
-    rests = {"position_rest": position_rest, "strain_rest": strain_rest, "time_rest": time_rest}
-    new = {"position": position, "image": state.image + crossed, "box": box, "step": state.step + 1, "time": time}
+    position, crossed = boxes.wrapped_columns(box, position)
+    rests = {"position_rest": position_rest.T, "strain_rest": strain_rest, "time_rest": time_rest}
+    new = {"position": position.T, "image": state.image + crossed.T, "box": box, "step": state.step + 1, "time": time}
     return dataclasses.replace(state, **new, **rests)
 
 
 def _along_x(values):
-    return jnp.stack([values, jnp.zeros_like(values), jnp.zeros_like(values)], axis=1)
+    """A vector along x for each bead, (3, n)."""
+    return jnp.stack([values, jnp.zeros_like(values), jnp.zeros_like(values)])

@@ -17,6 +17,7 @@ from dpdjax.engine.chunk import batched, complete_lists, replayed
 from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
+from dpdjax.host.heat import warn_if_hot
 
 CHUNK, LEAST = 1_000_000, 50
 """Particle-steps between two looks at the status: half a second; and steps, over which a large box is sorted once."""
@@ -82,6 +83,7 @@ def run(
         tqdm.write(f"interrupted after {done} of {plan.frames} frames", file=sys.stderr)
     finally:
         bar.close()
+    warn_if_hot(fluid, state, flow)
     return _trajectory(state, pieces, numbers, plan, complete=done == plan.frames)
 
 
