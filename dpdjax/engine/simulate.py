@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
-from dpdjax.engine import advice, order
+from dpdjax.engine import advice, order, soundness
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import batch_axes
@@ -153,7 +153,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
         return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
 
     state = started(fluid, state, key, dt, flow)
-    state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
+    state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state) | soundness.law_trouble(fluid, state))
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
     final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
@@ -233,6 +233,7 @@ def check_run(fluid, state, key, dt, flow):
             "make the state with this fluid"
         )
     check_rotation(fluid, state)
+    soundness.check_laws(fluid, soundness.sizes_of(fluid, state))
     check_drive(flow, state)
     check_dt(fluid, state, dt)
     check_period(flow, state)

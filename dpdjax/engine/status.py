@@ -9,6 +9,7 @@ WINDOW_OVERFLOW = 2
 NOT_FINITE = 4
 REACH_EXCEEDED = 8
 BOX_TOO_SMALL = 16
+BAD_LAW = 64
 
 MEANINGS = {
     PAIRS_OVERFLOW: "a neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
@@ -16,6 +17,7 @@ MEANINGS = {
     NOT_FINITE: "positions or velocities became NaN or infinite; use a smaller dt",
     REACH_EXCEEDED: "a term reaches further than the list was made for; make the state with this fluid",
     BOX_TOO_SMALL: "a side of the box fell below 2 (reach + skin); use a larger box or a smaller skin",
+    BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other coefficients",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
 

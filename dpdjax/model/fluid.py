@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import not_negative, number, positive
-from dpdjax.model.term import CENTRAL, Term, check_table, replace_coefficients, several
+from dpdjax.checks import is_concrete, not_negative, number, positive
+from dpdjax.model.declare import CENTRAL, name_of
+from dpdjax.model.term import Term, check_table, replace_coefficients, several
 
 ORIGINS = ("conservative", "drag", "random")
 """Where stress comes from, unless a term has a name of its own for it."""
@@ -115,24 +116,32 @@ class Fluid:
         return tuple(dict.fromkeys((kind, *labels)))
 
     @property
-    def coefficients(self) -> dict[str, Any]:
-        """Every coefficient by name; the first term that has it decides."""
-        found = {}
-        for interaction in self.interactions:
-            for t in interaction.terms:
-                for name, value in t.coefficients.items():
-                    found.setdefault(name, value)
-        return found
+    def coefficients(self) -> tuple[str, ...]:
+        """The names of all coefficients; :meth:`value` has their numbers."""
+        return tuple(sorted({name for i in self.interactions for t in i.terms for name in t.coefficients}))
 
-    def value(self, name: str):
-        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or a coefficient."""
-        if name in ("kT", "mass"):
+    def value(self, name: str, *, between=None):
+        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or a coefficient.
+
+        ``between``: the two species (or groups of species) whose terms are asked. Raises TypeError for a name that no
+        term knows, ValueError where terms disagree; where numbers are traced, one on which they disagree is NaN.
+        """
+        if between is None and name in ("kT", "mass"):
             return getattr(self, name)
-        if name == "inertia" and self.rotating:
+        if between is None and name == "inertia" and self.rotating:
             return self.inertia[self.rotating[0]] if len(self.rotating) == 1 else self.inertia
-        if name not in self.coefficients:
-            raise TypeError(_unknown(name, self))
-        return self.coefficients[name]
+        found = [(i, t) for i in self._between(between) for t in i.terms if name in t.coefficients]
+        if not found:
+            raise TypeError(_unknown(name, self, between))
+        return _agreed(name, found)
+
+    def _between(self, between) -> tuple[Interaction, ...]:
+        """The interactions of two groups, of all by default; ValueError where there is none."""
+        groups = None if between is None else _groups(between)
+        chosen = tuple(i for i in self.interactions if groups in (None, i.groups))
+        if not chosen:
+            raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
+        return chosen
 
     def batch_axes(self) -> "Fluid":
         """The ``in_axes`` of this fluid for ``jax.vmap``: 0 for numbers that carry a batch.
@@ -161,24 +170,19 @@ class Fluid:
         are set the same way, of the whole fluid; ``inertia`` of all species that rotate, which a new mass leaves as it
         is. Raises TypeError for a name that no term knows, ValueError for a value that no fluid can have.
         """
-        groups = None if between is None else _groups(between)
-        chosen = [i for i in self.interactions if groups in (None, i.groups)]
-        if not chosen:
-            raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
+        chosen = self._between(between)
         known = {name for i in chosen for t in i.terms for name in t.coefficients}
         for name in numbers:
-            if name not in known and between is not None:
-                raise TypeError(f"no term between {between} has {name!r}; they have {', '.join(sorted(known))}")
-            if name not in known and name not in self._own_numbers:
-                raise TypeError(_unknown(name, self))
+            if name not in known and (between is not None or name not in self._own_numbers):
+                raise TypeError(_unknown(name, self, between))
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
         turned = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
         inertia = tuple(old if old is None or turned is None else turned for old in self.inertia)
-        _check_coefficients(numbers)
         for name, value in numbers.items():
             check_table(name, number(value, name), self.species)
-        changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if groups in (None, i.groups) else i
+        groups = [i.groups for i in chosen]
+        changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
         return Fluid(tuple(map(changed, self.interactions)), kT, mass, self.radius, inertia)
 
     @property
@@ -200,8 +204,6 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
     Raises ValueError for groups that overlap, or without any term; TypeError for what is not a term.
     """
     parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
-    for t in parts[0] + parts[1] + parts[2]:
-        _check_coefficients(t.coefficients)
     for t in parts[0]:
         if t.projector != CENTRAL:
             raise ValueError(f"{t.law.__name__} is {t.projector}, and the force of a potential is central: give it as a drag")
@@ -282,13 +284,6 @@ def _check_groups(interactions):
         seen.add(i.groups)
 
 
-def _check_coefficients(coefficients):
-    for name in {"gamma", "gamma_t", "gamma_cs", "eta_0"} & set(coefficients):
-        not_negative(coefficients[name], name)
-    for name in {"r_c", "delta", "Delta", "kappa", "sigma"} & set(coefficients):
-        positive(coefficients[name], name)
-
-
 def _masses(mass, species):
     mass = positive(mass, "mass")
     if mass.ndim > 1 or (mass.ndim == 1 and mass.shape[0] != species):
@@ -327,5 +322,28 @@ def _count_species(terms, mass, radius, inertia, species, groups):
     return next(iter(sizes), 1)
 
 
-def _unknown(name, fluid):
-    return f"no term of this fluid has {name!r}; it has {', '.join((*fluid._own_numbers, *sorted(fluid.coefficients)))}"
+def _agreed(name, found):
+    """The number of terms ``found``, (interaction, term) each, that have to agree on it."""
+    values = [t.coefficients[name] for _, t in found]
+    first = values[0]
+    if all(v is first for v in values):
+        return first
+    alike = all(jnp.shape(v) == jnp.shape(first) for v in values)
+    if alike and not is_concrete(values):
+        same = jnp.all(jnp.stack([jnp.all(v == first) for v in values]))
+        return first * jnp.where(same, 1.0, jnp.nan).astype(first.dtype)
+    if alike and all(np.array_equal(v, first) for v in values):
+        return first
+    told = "; ".join(f"{_shown(v)} of {name_of(t.law)} between {i.groups}" for v, (i, t) in zip(values, found))
+    raise ValueError(f"the terms of this fluid disagree on {name!r}: {told}. Ask for one, fluid.value({name!r}, between=(0, 0))")
+
+
+def _shown(value) -> str:
+    return str(np.asarray(value).tolist()) if is_concrete(value) else f"a traced number of shape {jnp.shape(value)}"
+
+
+def _unknown(name, fluid, between=None):
+    if between is None:
+        return f"no term of this fluid has {name!r}; it has {', '.join((*fluid._own_numbers, *fluid.coefficients))}"
+    known = sorted({k for i in fluid._between(between) for t in i.terms for k in t.coefficients})
+    return f"no term between {between} has {name!r}; they have {', '.join(known)}"

@@ -1,0 +1,205 @@
+"""Whether the laws of a fluid make sense where beads can be: judged by their values, before a run and inside it.
+
+A friction below zero heats, and no noise belongs to it. A potential that is not a number, or falls without end, moves
+beads nowhere. Laws are sampled over their reach between every two species, at all sizes, by the code that runs them.
+"""
+
+import functools
+import itertools
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete
+from dpdjax.engine import status as bits
+from dpdjax.engine.forces import evaluate
+from dpdjax.model.declare import name_of
+from dpdjax.model.fluid import Fluid, Interaction
+from dpdjax.model.term import ACROSS, ALONG, Term
+
+EVENLY, FINELY = (np.arange(128) + 0.5) / 128, np.concatenate([[1e-20], np.geomspace(1e-6, 0.9, 96)])
+"""Shares of a length: in equal steps, and closer and closer to zero, where a law without limit shows."""
+OF_REACH = np.concatenate([EVENLY, FINELY, 0 * FINELY, EVENLY])[None]
+OF_CONTACT = np.concatenate([0 * EVENLY, 0 * FINELY, -FINELY, EVENLY - 1])[None]
+"""Gaps: from contact to the reach, into the spheres down to their centres, and from there to the reach, which may be inside.
+
+In shares of the reach and of the distance of the centres at contact. As one sum it costs XLA little to compile.
+"""
+CLIMB_OF_SPHERES, CLIMB_OF_POINTS = 1e2, 1e6
+"""Energies [kT] that keep beads out. Points may start anywhere, so only what diverges counts; spheres start apart."""
+ENDLESS = 1e9
+"""An attraction deeper than this [kT] has no bottom."""
+
+
+class Samples(NamedTuple):
+    """Pairs of beads to try laws on; every entry has shape (samples,), or (kinds, samples) by kind of pair.
+
+    Named as those of the forces: gap ``h``, approach ``v``, species and radii.
+    """
+
+    h: jax.Array
+    v: jax.Array
+    si: jax.Array
+    sj: jax.Array
+    R_i: jax.Array
+    R_j: jax.Array
+
+
+def check_laws(fluid: Fluid, sizes=None):
+    """Raise ValueError for a friction below zero, or a law that is not finite where beads can be.
+
+    ``sizes`` (species, 2): relative sizes of the smallest and the largest bead of each species, 1 by default. A batch is
+    judged member by member; numbers that are being traced are judged inside the run, by :func:`law_trouble`.
+    """
+    sizes = np.ones((fluid.species, 2)) if sizes is None else sizes
+    lengths = {len(leaf) for leaf in jax.tree.leaves(_batched(fluid))} if is_concrete(fluid) else {0, 1}
+    # Members that do not agree on their number are told of elsewhere.
+    if len(lengths) > 1 or not is_concrete(sizes):
+        return
+    sizes = jnp.asarray(sizes, fluid.mass.dtype)
+    if not np.any(_faults(fluid, sizes, bool(lengths))):
+        return
+    members = [fluid] if not lengths else [_member(fluid, k) for k in range(lengths.pop())]
+    for k, member in enumerate(members):
+        for interaction in member.interactions:
+            _refuse(member, interaction, sizes, f" of member {k}" if len(members) > 1 else "")
+
+
+def law_trouble(fluid: Fluid, state):
+    """The bit for laws that fail the same test inside a compiled run."""
+    fluid, sizes = jax.lax.stop_gradient((fluid, sizes_of(fluid, state)))
+    return bits.flag(_any_fault(fluid, sizes), bits.BAD_LAW)
+
+
+def sizes_of(fluid: Fluid, state):
+    """Relative sizes (species, 2) of the smallest and the largest bead of each species; 1 where there is none."""
+    mine = jnp.arange(fluid.species)[:, None] == state.species[None]
+    extreme = lambda find, other: find(jnp.where(mine, state.size[None], other), axis=1)
+    both = jnp.stack([extreme(jnp.min, jnp.inf), extreme(jnp.max, -jnp.inf)], 1)
+    return jnp.where(jnp.any(mine, axis=1)[:, None], both, 1.0)
+
+
+def sampled(fluid: Fluid, interaction: Interaction, sizes) -> Samples:
+    """Gaps between every two species of an interaction, at their smallest and largest sizes; (kinds, samples) each."""
+    kinds = [
+        (a, b, m, n)
+        for a, b in itertools.product(*interaction.groups)
+        for m, n in itertools.product(*([0, 1] if fluid.radius[k] is not None else [0] for k in (a, b)))
+    ]
+    dtype = fluid.mass.dtype
+    radius = lambda k, which: jnp.zeros((), dtype) if fluid.radius[k] is None else fluid.radius[k] * sizes[k, which]
+    R_i = jnp.stack([radius(a, m) for a, _, m, _ in kinds])
+    R_j = jnp.stack([radius(b, n) for _, b, _, n in kinds])
+    si, sj = (np.array([kind[k] for kind in kinds]) for k in (0, 1))
+    h = _gaps(interaction, si, sj, R_i, R_j, fluid.kT)
+    wide = lambda x: jnp.broadcast_to(jnp.asarray(x)[:, None], h.shape)
+    return Samples(h, jnp.zeros_like(h), wide(si), wide(sj), wide(R_i), wide(R_j))
+
+
+def energy_and_slope(terms, samples: Samples, kT):
+    """What the engine makes of potentials: energy, zero at the reach, and minus its slope; the shape of ``samples.h``."""
+    energy, force = evaluate(terms, _flat(samples), kT, derivative=True)
+    return energy.reshape(samples.h.shape), force.reshape(samples.h.shape)
+
+
+def friction(terms, samples: Samples, kT):
+    """The sum of frictions, the shape of ``samples.h``."""
+    return evaluate(terms, _flat(samples), kT, derivative=False).reshape(samples.h.shape)
+
+
+def _flat(samples: Samples) -> Samples:
+    return Samples(*(x.reshape(-1) for x in samples))
+
+
+def _gaps(interaction, si, sj, R_i, R_j, kT):
+    """Gaps (kinds, samples): up to the farthest reach of the terms, and into spheres down to their centres."""
+    contact = (R_i + R_j)[:, None]
+
+    def reach_of(t):
+        table_of = lambda c: c if jnp.ndim(c) == 0 else c[si, sj]
+        return jnp.broadcast_to(t.between(table_of, R_i=R_i, R_j=R_j, kT=kT)[1], R_i.shape)[:, None]
+
+    farthest = functools.reduce(jnp.maximum, [reach_of(t) for t in interaction.terms])
+    return farthest * jnp.asarray(OF_REACH, contact.dtype) + contact * jnp.asarray(OF_CONTACT, contact.dtype)
+
+
+def _is_open(energy, samples: Samples, kT):
+    """Where beads can be: from the widest gap inwards, until the energy is too far above its lowest out of contact."""
+    climb = jnp.where(samples.R_i + samples.R_j > 0, CLIMB_OF_SPHERES, CLIMB_OF_POINTS).astype(energy.dtype)
+    lowest = jnp.min(jnp.where(jnp.isfinite(energy) & (samples.h > 0), energy, jnp.inf), axis=1, keepdims=True)
+    out = (energy == jnp.inf) | ((energy - lowest > climb * kT) & (kT > 0))
+    return samples.h > jnp.max(jnp.where(out, samples.h, -jnp.inf), axis=1, keepdims=True)
+
+
+def _wrong(fluid: Fluid, interaction: Interaction, sizes):
+    """The samples, and where potentials, frictions along and across, and those behind the noise make no sense."""
+    samples = sampled(fluid, interaction, sizes)
+    energy, force = energy_and_slope(interaction.conservative, samples, fluid.kT)
+    is_open = _is_open(energy, samples, fluid.kT)
+    endless = (samples.h > 0) & ((energy == -jnp.inf) | (energy < -ENDLESS * fluid.kT) & (fluid.kT > 0))
+    found = [(interaction.conservative, endless | is_open & ~(jnp.isfinite(energy) & jnp.isfinite(force)))]
+    for terms in (interaction.drag, interaction.random or ()):
+        for projectors in (ALONG, ACROSS):
+            among = [t for t in terms if t.projector in projectors]
+            zeta = friction(among, samples, fluid.kT)
+            found.append((among, is_open & ~((zeta >= 0) & (zeta < jnp.inf))))
+    return samples, found
+
+
+def _any_fault(fluid, sizes):
+    faults = [wrong for i in fluid.interactions for terms, wrong in _wrong(fluid, i, sizes)[1] if terms]
+    return functools.reduce(jnp.logical_or, map(jnp.any, faults))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _faults(fluid, sizes, is_batch: bool):
+    return jax.vmap(_any_fault, (fluid.batch_axes(), None))(fluid, sizes) if is_batch else _any_fault(fluid, sizes)
+
+
+def _refuse(fluid, interaction, sizes, whose: str):
+    """Raise ValueError for the first fault of one interaction."""
+    samples, found = _wrong(fluid, interaction, sizes)
+    for kind, (terms, wrong) in enumerate(found):
+        if np.any(wrong):
+            raise ValueError(_told(fluid, terms, samples, np.asarray(wrong), kind == 0, whose))
+
+
+def _told(fluid, terms, samples, wrong, is_potential: bool, whose: str) -> str:
+    """What is wrong at the worst sample: the law that is, its numbers, the gap, the value, and the cure."""
+    total = energy_and_slope(terms, samples, fluid.kT)[0] if is_potential else friction(terms, samples, fluid.kT)
+    at = np.unravel_index(np.argmin(np.where(wrong, np.nan_to_num(total, nan=-np.inf), np.inf)), wrong.shape)
+    one = Samples(*(x[at].reshape(1, 1) for x in samples))
+    if is_potential:
+        values = [tuple(float(x[0, 0]) for x in energy_and_slope([t], one, fluid.kT)) for t in terms]
+    else:
+        values = [(float(friction([t], one, fluid.kT)[0, 0]),) for t in terms]
+    worst = min(range(len(terms)), key=lambda k: min(v if math.isfinite(v) else -math.inf for v in values[k]))
+    where = f"between species {int(one.si[0, 0])} and {int(one.sj[0, 0])}{whose} at a gap of {float(one.h[0, 0]):.4g}"
+    what = f"{_written(terms[worst])} {where}"
+    if not is_potential:
+        return (
+            f"the friction {what} is {values[worst][0]:.4g}: it must be finite and not negative, for a negative one heats and "
+            "has no noise; give coefficients that keep it so, or jnp.maximum(..., 0.0) in the law"
+        )
+    energy, slope = values[worst]
+    cure = "beads can be there: give coefficients or a reach that keep it finite"
+    if math.isfinite(energy) and math.isnan(slope):
+        return f"the slope of the potential {what} is {-slope:.4g}, and {cure}; guard the argument inside jnp.where too"
+    return f"the potential {what} is {energy:.4g}, and {cure}"
+
+
+def _written(term: Term) -> str:
+    numbers = ", ".join(f"{k}={np.asarray(c).tolist()!r}" for k, c in term.coefficients.items())
+    return f"{name_of(term.law)}({numbers})"
+
+
+def _batched(fluid):
+    return jax.tree.map(lambda axis, leaf: leaf if axis == 0 else None, fluid.batch_axes(), fluid, is_leaf=lambda x: x is None)
+
+
+def _member(fluid: Fluid, k: int) -> Fluid:
+    own = lambda axis, leaf: leaf if axis is None else leaf[k]
+    return jax.tree.map(own, fluid.batch_axes(), fluid, is_leaf=lambda x: x is None)
