@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete
+from dpdjax.model import summary
 from dpdjax.model.colloids import diffusion_time
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid, Interaction
@@ -27,6 +28,8 @@ DIRECTIONS = {CENTRAL: 1, TRANSVERSE: 2, FULL: 3}
 """In which a friction acts."""
 TOUCHING = 1e-6
 """Gap of colloids that all but touch, in reaches: some laws are zero in overlap."""
+DEEP = 40.0
+"""Depth of a potential [kT] that is seldom meant."""
 PRODUCTION_SIDE = 30.0
 """Shortest side at which a suspension counts as large, in ``r_c``."""
 
@@ -85,14 +88,14 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
     """What is allowed in a run with colloids but seldom meant, each with the number that would pass."""
     numbers = extreme(fluid)
     if not numbers.has_radii:
-        return []
+        return deep_wells(fluid)
     side, tau = float(np.min(state.box.lengths)), _diffusion_time(numbers)
     found = []
     if side < PRODUCTION_SIDE and not fluid.rotating:
         found.append(
             f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
         )
-    found += cut_short(fluid)
+    found += cut_short(fluid) + deep_wells(fluid)
     interval = float(np.max(np.asarray(dt))) * plan.every
     if interval > tau:
         found.append(
@@ -100,6 +103,19 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
             f"use Plan(every={max(1, math.floor(tau / float(np.max(np.asarray(dt)))))}) or less"
         )
     return found
+
+
+def deep_wells(fluid: Fluid) -> list[str]:
+    """Which potentials are so deep that beads never leave: often a depth meant in kT."""
+    if not np.all(np.asarray(fluid.kT) > 0):
+        return []
+    depths = [(t, summary.depth_in_kT(fluid, i, t)[1]) for i in fluid.interactions for t in i.conservative]
+    return [
+        f"{name_of(t.law)} is {depth:.3g} kT deep, and beads that meet there stay for good: energies are given in the unit of "
+        f"energy, in which kT is {float(np.min(np.asarray(fluid.kT))):.3g}"
+        for t, depth in depths
+        if depth > DEEP
+    ]
 
 
 def cut_short(fluid: Fluid) -> list[str]:

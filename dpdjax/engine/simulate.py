@@ -121,7 +121,15 @@ def simulate(
             "use jax.vmap, or dpd.run with a vector of keys"
         )
     trajectory = advance(fluid, state, prng_key(key), dt, plan, flow, observe, lam, remat)
+    if not is_concrete(fluid, state.species, state.size):
+        trajectory = _judged(trajectory, soundness.law_trouble(fluid, state))
     return bits.poison(trajectory, trajectory.final.status, (fluid, state, dt, flow))
+
+
+def _judged(trajectory: Trajectory, trouble) -> Trajectory:
+    """The trajectory with more trouble in its status."""
+    final = dataclasses.replace(trajectory.final, status=trajectory.final.status | trouble)
+    return dataclasses.replace(trajectory, final=final)
 
 
 def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) -> Trajectory:
@@ -153,7 +161,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
         return dataclasses.replace(state, status=state.status | bits.flag(broken, bits.NOT_FINITE)), values
 
     state = started(fluid, state, key, dt, flow)
-    state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state) | soundness.law_trouble(fluid, state))
+    state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
     final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
@@ -233,7 +241,7 @@ def check_run(fluid, state, key, dt, flow):
             "make the state with this fluid"
         )
     check_rotation(fluid, state)
-    soundness.check_laws(fluid, soundness.sizes_of(fluid, state))
+    soundness.check_laws(fluid, state)
     check_drive(flow, state)
     check_dt(fluid, state, dt)
     check_period(flow, state)

@@ -48,30 +48,53 @@ class Samples(NamedTuple):
     R_j: jax.Array
 
 
-def check_laws(fluid: Fluid, sizes=None):
+class Survey(NamedTuple):
+    """What :func:`survey` found of one interaction: species of each kind of pair (kinds,), gaps and energies (kinds, samples)."""
+
+    si: jax.Array
+    sj: jax.Array
+    h: jax.Array
+    energy: jax.Array
+
+
+def check_laws(fluid: Fluid, state=None):
     """Raise ValueError for a friction below zero, or a law that is not finite where beads can be.
 
-    ``sizes`` (species, 2): relative sizes of the smallest and the largest bead of each species, 1 by default. A batch is
-    judged member by member; numbers that are being traced are judged inside the run, by :func:`law_trouble`.
+    ``state``: whose sizes count; without one all beads have the size of their species. A batch of fluids is judged member
+    by member; numbers that are being traced are judged inside the run, by :func:`law_trouble`.
     """
-    sizes = np.ones((fluid.species, 2)) if sizes is None else sizes
-    lengths = {len(leaf) for leaf in jax.tree.leaves(_batched(fluid))} if is_concrete(fluid) else {0, 1}
-    # Members that do not agree on their number are told of elsewhere.
-    if len(lengths) > 1 or not is_concrete(sizes):
+    if not is_concrete(fluid):
         return
-    sizes = jnp.asarray(sizes, fluid.mass.dtype)
-    if not np.any(_faults(fluid, sizes, bool(lengths))):
-        return
-    members = [fluid] if not lengths else [_member(fluid, k) for k in range(lengths.pop())]
-    for k, member in enumerate(members):
-        for interaction in member.interactions:
-            _refuse(member, interaction, sizes, f" of member {k}" if len(members) > 1 else "")
+    with jax.ensure_compile_time_eval():
+        sizes = one_size(fluid) if state is None or not is_concrete(state.species, state.size) else sizes_of(fluid, state)
+        lengths = {len(leaf) for leaf in jax.tree.leaves(_batched(fluid))}
+        # Members that do not agree on their number are told of elsewhere.
+        if len(lengths) > 1 or not np.any(_faults(fluid, sizes) if lengths else survey(fluid, sizes)[1]):
+            return
+        members = [_member(fluid, k) for k in range(lengths.pop())] if lengths else [fluid]
+        for k, member in enumerate(members):
+            for interaction in member.interactions:
+                _refuse(member, interaction, sizes, f" of member {k}" if len(members) > 1 else "")
+
+
+@jax.jit
+def survey(fluid: Fluid, sizes):
+    """A :class:`Survey` of each interaction at relative ``sizes`` (species, 2), and whether any law is at fault."""
+    judged = [_wrong(fluid, i, sizes) for i in fluid.interactions]
+    found = [Survey(samples.si[:, 0], samples.sj[:, 0], samples.h, energy) for samples, energy, _ in judged]
+    faults = [jnp.any(wrong) for _, _, all_wrong in judged for terms, wrong in all_wrong if terms]
+    return found, functools.reduce(jnp.logical_or, faults)
+
+
+def one_size(fluid: Fluid):
+    """Relative sizes (species, 2) where all beads are alike."""
+    return jnp.ones((fluid.species, 2), fluid.kT.dtype)
 
 
 def law_trouble(fluid: Fluid, state):
     """The bit for laws that fail the same test inside a compiled run."""
     fluid, sizes = jax.lax.stop_gradient((fluid, sizes_of(fluid, state)))
-    return bits.flag(_any_fault(fluid, sizes), bits.BAD_LAW)
+    return bits.flag(survey(fluid, sizes)[1], bits.BAD_LAW)
 
 
 def sizes_of(fluid: Fluid, state):
@@ -83,11 +106,11 @@ def sizes_of(fluid: Fluid, state):
 
 
 def sampled(fluid: Fluid, interaction: Interaction, sizes) -> Samples:
-    """Gaps between every two species of an interaction, at their smallest and largest sizes; (kinds, samples) each."""
+    """Gaps between every two species of an interaction, at all their ``sizes`` (species, sizes); (kinds, samples) each."""
     kinds = [
         (a, b, m, n)
         for a, b in itertools.product(*interaction.groups)
-        for m, n in itertools.product(*([0, 1] if fluid.radius[k] is not None else [0] for k in (a, b)))
+        for m, n in itertools.product(*(range(sizes.shape[1] if fluid.radius[k] is not None else 1) for k in (a, b)))
     ]
     dtype = fluid.mass.dtype
     radius = lambda k, which: jnp.zeros((), dtype) if fluid.radius[k] is None else fluid.radius[k] * sizes[k, which]
@@ -135,7 +158,7 @@ def _is_open(energy, samples: Samples, kT):
 
 
 def _wrong(fluid: Fluid, interaction: Interaction, sizes):
-    """The samples, and where potentials, frictions along and across, and those behind the noise make no sense."""
+    """The samples, their energies, and where potentials, frictions along and across, and those behind the noise make no sense."""
     samples = sampled(fluid, interaction, sizes)
     energy, force = energy_and_slope(interaction.conservative, samples, fluid.kT)
     is_open = _is_open(energy, samples, fluid.kT)
@@ -146,22 +169,18 @@ def _wrong(fluid: Fluid, interaction: Interaction, sizes):
             among = [t for t in terms if t.projector in projectors]
             zeta = friction(among, samples, fluid.kT)
             found.append((among, is_open & ~((zeta >= 0) & (zeta < jnp.inf))))
-    return samples, found
+    return samples, energy, found
 
 
-def _any_fault(fluid, sizes):
-    faults = [wrong for i in fluid.interactions for terms, wrong in _wrong(fluid, i, sizes)[1] if terms]
-    return functools.reduce(jnp.logical_or, map(jnp.any, faults))
-
-
-@functools.partial(jax.jit, static_argnums=2)
-def _faults(fluid, sizes, is_batch: bool):
-    return jax.vmap(_any_fault, (fluid.batch_axes(), None))(fluid, sizes) if is_batch else _any_fault(fluid, sizes)
+@jax.jit
+def _faults(fluid, sizes):
+    """Whether any law of each member of a batch of fluids is at fault."""
+    return jax.vmap(lambda fluid: survey(fluid, sizes)[1], (fluid.batch_axes(),))(fluid)
 
 
 def _refuse(fluid, interaction, sizes, whose: str):
     """Raise ValueError for the first fault of one interaction."""
-    samples, found = _wrong(fluid, interaction, sizes)
+    samples, _, found = _wrong(fluid, interaction, sizes)
     for kind, (terms, wrong) in enumerate(found):
         if np.any(wrong):
             raise ValueError(_told(fluid, terms, samples, np.asarray(wrong), kind == 0, whose))

@@ -1,6 +1,7 @@
 """A fluid: which groups of beads interact by which terms, at which temperature and mass."""
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, not_negative, number, positive
+from dpdjax.model import summary
 from dpdjax.model.declare import CENTRAL, name_of
 from dpdjax.model.term import Term, check_table, replace_coefficients, several
 
@@ -53,7 +55,7 @@ class Interaction:
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Fluid:
     """Everything the matter is, and nothing of where it is; build it with :func:`fluid`.
 
@@ -72,6 +74,12 @@ class Fluid:
     mass: Any
     radius: tuple[Any, ...]
     inertia: tuple[Any, ...]
+
+    def __repr__(self):
+        return summary.short(self)
+
+    def __str__(self):
+        return summary.full(self)
 
     @property
     def species(self) -> int:
@@ -163,19 +171,31 @@ class Fluid:
         """Whether any number carries a batch axis."""
         return bool(jax.tree.leaves(self.batch_axes()))
 
-    def set(self, *, between=None, **numbers) -> "Fluid":
+    def set(self, *, between=None, energies: str | None = None, **numbers) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
         ``between``: the two species (or groups of species) whose terms alone take them. ``kT``, ``mass`` and ``inertia``
         are set the same way, of the whole fluid; ``inertia`` of all species that rotate, which a new mass leaves as it
         is. Raises TypeError for a name that no term knows, ValueError for a value that no fluid can have.
+
+        ``energies``: what a new ``kT`` does to the potentials. ``"keep"`` leaves their coefficients as they are, so that a
+        repulsion of 25 kT is one of 250 at a tenth of kT; ``"scale"`` keeps them the same in kT, for laws that declare what
+        they are ``dpd.proportional_to``. A plain new ``kT`` alone keeps them with a warning; a scan, a traced
+        number, or zero keeps them without.
         """
+        if energies not in (None, "keep", "scale"):
+            raise ValueError(f'energies is {energies!r}; it is "keep" or "scale"')
+        if energies == "scale" and "kT" not in numbers:
+            raise ValueError('energies="scale" goes with a new kT, and none is given')
         chosen = self._between(between)
         known = {name for i in chosen for t in i.terms for name in t.coefficients}
         for name in numbers:
             if name not in known and (between is not None or name not in self._own_numbers):
                 raise TypeError(_unknown(name, self, between))
+        given = set(numbers)
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
+        if energies is None and "kT" in given:
+            _warn_of_energies(self, kT, given)
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
         turned = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
         inertia = tuple(old if old is None or turned is None else turned for old in self.inertia)
@@ -183,7 +203,8 @@ class Fluid:
             check_table(name, number(value, name), self.species)
         groups = [i.groups for i in chosen]
         changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
-        return Fluid(tuple(map(changed, self.interactions)), kT, mass, self.radius, inertia)
+        interactions = _scaled(self, kT, given) if energies == "scale" else self.interactions
+        return Fluid(tuple(map(changed, interactions)), kT, mass, self.radius, inertia)
 
     @property
     def _own_numbers(self) -> tuple[str, ...]:
@@ -282,6 +303,36 @@ def _check_groups(interactions):
         if i.groups in seen:
             raise ValueError(f"two interactions between {i.groups}: give all their terms to one")
         seen.add(i.groups)
+
+
+def _warn_of_energies(fluid, kT, given):
+    """Tell once for each place in a program that potentials stay while kT changes, where neither is said."""
+    strengths = {name for i in fluid.interactions for t in i.conservative for name in t.coefficients}
+    if not strengths or strengths & given or not is_concrete(kT, fluid.kT) or jnp.ndim(kT) or not np.all(np.asarray(kT) > 0):
+        return
+    if not np.array_equal(kT, fluid.kT):
+        warnings.warn(
+            f"kT is now {summary.written(kT)} and was {summary.written(fluid.kT)}, and potentials keep their coefficients, "
+            'so that they are others in kT: say energies="keep" if that is meant, energies="scale" to keep them the same in kT',
+            stacklevel=3,
+        )
+
+
+def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
+    """The interactions with every potential scaled by the new kT over the old one."""
+    if is_concrete(fluid.kT) and not np.all(np.asarray(fluid.kT) > 0):
+        raise ValueError('kT was 0, and energies="scale" has nothing to scale by: set the coefficients')
+
+    def scaled(t: Term) -> Term:
+        name = getattr(t.law, "strength", None)
+        if name is None and not given & set(t.coefficients):
+            raise ValueError(
+                f"{name_of(t.law)} does not say which coefficient it is proportional to: mark it with "
+                '@dpd.proportional_to("..."), or give that coefficient beside kT'
+            )
+        return t if name not in t.coefficients else replace_coefficients(t, {name: t.coefficients[name] * (kT / fluid.kT)})
+
+    return tuple(dataclasses.replace(i, conservative=tuple(map(scaled, i.conservative))) for i in fluid.interactions)
 
 
 def _masses(mass, species):
