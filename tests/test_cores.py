@@ -7,7 +7,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
-from dpdjax.engine.cores import START_ENERGY, start_radii
+from dpdjax.engine.cores import START_ENERGY, closest, start_radii
 
 
 def lennard_jones(h, *, epsilon, sigma):
@@ -29,7 +29,7 @@ def distances(state):
 
 
 def test_lennard_jones_starts_apart_and_does_not_explode(key):
-    state = dpd.initial_state(hard(), key, box=6.0, density=0.6, skin=0.2)
+    state = dpd.initial_state(hard(), key, box=6.0, density=0.6, skin=0.2, sheared=False)
     closest = distances(state).min()
     assert lennard_jones(closest, epsilon=1.0, sigma=1.0) <= START_ENERGY
     run = dpd.run(hard(), state, key, 0.005, dpd.Plan(2, 20), progress=False)
@@ -38,22 +38,22 @@ def test_lennard_jones_starts_apart_and_does_not_explode(key):
 
 def test_tables_keep_every_two_species_apart(key):
     fluid = hard([[1.0, 0.8], [0.8, 0.5]])
-    state = dpd.initial_state(fluid, key, box=6.0, n=[60, 60], skin=0.2)
+    state = dpd.initial_state(fluid, key, box=6.0, n=[60, 60], skin=0.2, sheared=False)
     r, species = distances(state), np.asarray(state.species)
     for a, b, sigma in ((0, 0, 1.0), (0, 1, 0.8), (1, 1, 0.5)):
         assert lennard_jones(r[species == a][:, species == b].min(), epsilon=1.0, sigma=sigma) <= START_ENERGY
 
 
-def test_points_next_to_spheres_with_a_law_that_diverges(key):
+def test_points_next_to_spheres_with_a_law_that_diverges():
+    """The spheres grow by what the points keep away from them; the points stay points."""
     among = [
         dpd.interaction((0, 0), drag=rubbing()),
         dpd.interaction((0, 1), dpd.term(lennard_jones, epsilon=1.0, sigma=0.3, reach=0.75)),
         dpd.interaction((1, 1), dpd.term(dpd.contact, f=1e4, Delta=1e-3, r_c=1.0)),
     ]
-    fluid = dpd.fluid(interactions=among, kT=1.0, mass=[1.0, 12.0], radius=(None, 1.0))
-    state = dpd.initial_state(fluid, key, box=8.0, n=[300, 8], sheared=False)
-    gap = distances(state)[:300, 300:].min() - 1.0
-    assert lennard_jones(gap, epsilon=1.0, sigma=0.3) <= START_ENERGY
+    points, spheres = start_radii(dpd.fluid(interactions=among, kT=1.0, mass=[1.0, 12.0], radius=(None, 1.0)))
+    assert points == 0 and 0.25 < spheres - 1 < 0.3
+    assert lennard_jones(spheres - 1, epsilon=1.0, sigma=0.3) <= START_ENERGY
 
 
 def test_too_dense_is_refused_with_the_cure(key):
@@ -73,7 +73,9 @@ def test_soft_laws_start_where_they_did(water, key):
     assert start_radii(dpd.marble_fluid(a=25.0, is_several=True)).tolist() == [0.0, 3.0]
 
 
-def test_marbles_with_a_wide_wall_start_outside_it(key):
-    made = dpd.marbles(key, box=9.0, radius=1.0, r_0=0.5, report=None)
-    gap = distances(made.state)[:-1, -1].min() - 1.0
-    assert gap > 0.4 and float(dpd.shifted_repulsion(gap, epsilon=1.0, sigma=1.0, r_0=0.5, R_i=0.0, R_j=1.0)) <= START_ENERGY
+def test_marbles_start_outside_a_wide_wall():
+    """At a radius of 1 the wall begins at 0.5: the clearance is where its energy is thermal, and 0 for the usual wall."""
+    gap = closest(dpd.marble_fluid(radius=1.0, r_0=0.5))[0, 1]
+    assert 0.3 < gap < 0.5
+    assert float(dpd.shifted_repulsion(gap, epsilon=1.0, sigma=1.0, r_0=0.5, R_i=0.0, R_j=1.0)) <= START_ENERGY
+    assert closest(dpd.marble_fluid())[0, 1] == 0

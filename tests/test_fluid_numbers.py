@@ -1,6 +1,7 @@
 """Numbers of a fluid: asked for without doubt, scaled as said, and told in kT."""
 
 import warnings
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.advice import cautions
+from dpdjax.engine.advice import deep_wells
 from dpdjax.model.colloids import solvent_viscosity
 
 
@@ -87,9 +88,14 @@ def test_energies_are_told_in_kT(water):
     assert "kT traced ()" in told[0] and "no energies in kT" in told[0]
 
 
-def test_a_depth_meant_in_kT_is_cautioned_about(key):
-    made = dpd.suspension(key, phi=0.1, box=7.0, density=1.0, kT=0.1, D0=8.0, report=None, sheared=False)
-    assert "morse -80 kT at contact, 80 kT deep" in str(made)
-    (said,) = [c for c in cautions(made.fluid, made.state, made.dt, dpd.Plan(1)) if "deep" in c]
+def test_a_depth_meant_in_kT_is_cautioned_about():
+    (said,) = deep_wells(dpd.colloid_fluid(kT=0.1, D0=8.0))
     assert said.startswith("morse is 80 kT deep") and "in which kT is 0.1" in said
-    assert not [c for c in cautions(made.fluid.set(D0=1.2), made.state, made.dt, dpd.Plan(1)) if "deep" in c]
+    assert deep_wells(dpd.colloid_fluid(kT=0.1, D0=1.2)) == []
+    assert deep_wells(dpd.colloid_fluid().set(D0=jnp.array([0.0, 8.0]))), "the deepest of a scan"
+
+
+def test_a_suspension_tells_its_energies_in_kT():
+    state = SimpleNamespace(box=SimpleNamespace(lengths=np.ones(3)), neighbours=(), species=np.array([0, 1]), size=np.ones(2), n=2)
+    made = dpd.Suspension(dpd.colloid_fluid(kT=0.1, D0=8.0), state, 0.1, 56.5, 1e-3)
+    assert "between colloids: contact 2.5 kT at contact; morse -80 kT at contact, 80 kT deep at h = 0" in str(made)

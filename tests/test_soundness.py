@@ -1,5 +1,7 @@
 """Laws are judged by their values: before a run with the law, the gap and the cure, inside one by a status bit."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +46,7 @@ def test_a_friction_of_a_user_below_zero_is_refused_before_a_run(fresh, key):
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_tables_scans_and_precisions(dtype):
     with jax.enable_x64(dtype == jnp.float64):
-        check_laws(rubbing(jnp.array([0.0, 1.0])))
+        check_laws(rubbing(1.0).set(zeta0=jnp.array([0.0, 1.0])))
         with pytest.raises(ValueError, match="zeta0=-2.0.*of member 1 at"):
             check_laws(rubbing(1.0).set(zeta0=jnp.array([1.0, -2.0, 3.0])))
         with pytest.raises(ValueError, match="between species 0 and 1 at"):
@@ -62,14 +64,13 @@ def test_the_noise_follows_from_the_sum_and_from_random():
         check_laws(dpd.fluid(drag=[terms[0], across], kT=1.0))
 
 
-def test_the_smallest_and_the_largest_bead_are_judged(key):
+def test_the_smallest_and_the_largest_bead_are_judged():
     by_size = lambda h, *, c, R_i, R_j: (c - R_i) * jnp.ones_like(h)
     fluid = dpd.fluid(drag=[dpd.term(by_size, c=1.2, reach=0.5)], kT=1.0, radius=(1.0,))
     check_laws(fluid)
-    state = dpd.initial_state(fluid, key, box=8.0, n=4, sheared=False)
-    sizes = jnp.array([1.0, 1.0, 1.0, 1.5])
+    state = SimpleNamespace(species=jnp.zeros(4, int), size=jnp.array([1.0, 1.0, 1.0, 1.5]))
     with pytest.raises(ValueError, match=r"is -0.3: .*not negative"):
-        check_laws(fluid, state.__class__(**{**vars(state), "size": sizes}))
+        check_laws(fluid, state)
 
 
 def test_a_traced_friction_below_zero_ends_the_run_and_not_its_neighbour(fresh, key):
@@ -85,8 +86,9 @@ def test_a_traced_friction_below_zero_ends_the_run_and_not_its_neighbour(fresh, 
 
 
 def test_a_fluid_that_a_traced_function_closes_over_is_judged_too(fresh, key):
+    hot = rubbing(-3.0)
     with pytest.raises(ValueError, match="zeta0=-3.0"):
-        jax.jit(lambda key: dpd.simulate(rubbing(-3.0), fresh, key, 1e-3, dpd.Plan(1)).final.position)(key)
+        jax.jit(lambda key: dpd.simulate(hot, fresh, key, 1e-3, dpd.Plan(1)).final.position)(key)
 
 
 def test_noise_of_a_negative_friction_is_no_number():
@@ -99,20 +101,16 @@ def test_noise_of_a_negative_friction_is_no_number():
     [
         (lambda h: jnp.sqrt(h - 0.5), "is nan, and beads can be there"),
         (lambda h: -1.0 / h, r"is -.*e\+19, and beads can be there"),
-        (lambda h: jnp.where(h > 1.0, 0.0, jnp.inf * (1 - h)), None),
     ],
-    ids=["nan", "endless", "hard"],
+    ids=["nan", "endless"],
 )
 def test_potentials_that_are_not_finite_where_beads_can_be(law, told):
-    if told is None:
-        return check_laws(pushing(law))
     with pytest.raises(ValueError, match=told):
         check_laws(pushing(law))
 
 
 def test_potentials_that_keep_beads_out_may_diverge():
-    for law in (lennard_jones, lambda h: 1.0 / h, lambda h: jnp.exp(-3.0 * h) / h):
-        check_laws(pushing(law))
+    check_laws(pushing(lennard_jones))
     for fluid in (dpd.marble_fluid(a=25.0, gamma_t=1.0, is_several=True), dpd.colloid_fluid(noise="literal")):
         check_laws(fluid)
 
