@@ -73,8 +73,8 @@ def check_laws(fluid: Fluid, state=None):
             return
         members = [_member(fluid, k) for k in range(lengths.pop())] if lengths else [fluid]
         for k, member in enumerate(members):
-            for interaction in member.interactions:
-                _refuse(member, interaction, sizes, f" of member {k}" if len(members) > 1 else "")
+            for n in range(len(member.interactions)):
+                _refuse(member, n, sizes, f" of member {k}" if len(members) > 1 else "")
 
 
 @jax.jit
@@ -163,12 +163,11 @@ def _wrong(fluid: Fluid, interaction: Interaction, sizes):
     energy, force = energy_and_slope(interaction.conservative, samples, fluid.kT)
     is_open = _is_open(energy, samples, fluid.kT)
     endless = (samples.h > 0) & ((energy == -jnp.inf) | (energy < -ENDLESS * fluid.kT) & (fluid.kT > 0))
-    found = [(interaction.conservative, endless | is_open & ~(jnp.isfinite(energy) & jnp.isfinite(force)))]
-    for terms in (interaction.drag, interaction.random or ()):
-        for projectors in (ALONG, ACROSS):
-            among = [t for t in terms if t.projector in projectors]
-            zeta = friction(among, samples, fluid.kT)
-            found.append((among, is_open & ~((zeta >= 0) & (zeta < jnp.inf))))
+    potentials, *frictions = _judged_together(interaction)
+    found = [(potentials, endless | is_open & ~(jnp.isfinite(energy) & jnp.isfinite(force)))]
+    for terms in frictions:
+        zeta = friction(terms, samples, fluid.kT)
+        found.append((terms, is_open & ~((zeta >= 0) & (zeta < jnp.inf))))
     return samples, energy, found
 
 
@@ -178,36 +177,49 @@ def _faults(fluid, sizes):
     return jax.vmap(lambda fluid: survey(fluid, sizes)[1], (fluid.batch_axes(),))(fluid)
 
 
-def _refuse(fluid, interaction, sizes, whose: str):
-    """Raise ValueError for the first fault of one interaction."""
+def _refuse(fluid, k: int, sizes, whose: str):
+    """Raise ValueError for the worst fault of the interaction ``k``."""
+    samples, values, wrong = jax.tree.map(np.asarray, _detailed(fluid, sizes, k))
+    for kind, (terms, where) in enumerate(zip(_judged_together(fluid.interactions[k]), wrong)):
+        if where.any():
+            total = sum(v[0] for v in values[kind])
+            at = np.unravel_index(np.argmin(np.where(where, np.nan_to_num(total, nan=-np.inf), np.inf)), where.shape)
+            here = [[float(x[at]) for x in v] for v in values[kind]]
+            pair = f"between species {samples.si[at]} and {samples.sj[at]}{whose} at a gap of {samples.h[at]:.4g}"
+            raise ValueError(_told(terms, here, pair))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _detailed(fluid, sizes, k: int):
+    """The samples of one interaction, the values of every term, and where those judged together are at fault."""
+    interaction = fluid.interactions[k]
     samples, _, found = _wrong(fluid, interaction, sizes)
-    for kind, (terms, wrong) in enumerate(found):
-        if np.any(wrong):
-            raise ValueError(_told(fluid, terms, samples, np.asarray(wrong), kind == 0, whose))
+    potentials, *frictions = _judged_together(interaction)
+    values = [[energy_and_slope([t], samples, fluid.kT) for t in potentials]]
+    values += [[(friction([t], samples, fluid.kT),) for t in terms] for terms in frictions]
+    return samples, values, [wrong for _, wrong in found]
 
 
-def _told(fluid, terms, samples, wrong, is_potential: bool, whose: str) -> str:
-    """What is wrong at the worst sample: the law that is, its numbers, the gap, the value, and the cure."""
-    total = energy_and_slope(terms, samples, fluid.kT)[0] if is_potential else friction(terms, samples, fluid.kT)
-    at = np.unravel_index(np.argmin(np.where(wrong, np.nan_to_num(total, nan=-np.inf), np.inf)), wrong.shape)
-    one = Samples(*(x[at].reshape(1, 1) for x in samples))
-    if is_potential:
-        values = [tuple(float(x[0, 0]) for x in energy_and_slope([t], one, fluid.kT)) for t in terms]
-    else:
-        values = [(float(friction([t], one, fluid.kT)[0, 0]),) for t in terms]
+def _judged_together(interaction):
+    """The potentials; the frictions along and across; those behind the noise, along and across."""
+    among = lambda terms, projectors: [t for t in terms if t.projector in projectors]
+    frictions = [among(terms, p) for terms in (interaction.drag, interaction.random or ()) for p in (ALONG, ACROSS)]
+    return [list(interaction.conservative), *frictions]
+
+
+def _told(terms, values, pair: str) -> str:
+    """What is wrong: the law that is, its numbers, the gap, the value, and the cure."""
     worst = min(range(len(terms)), key=lambda k: min(v if math.isfinite(v) else -math.inf for v in values[k]))
-    where = f"between species {int(one.si[0, 0])} and {int(one.sj[0, 0])}{whose} at a gap of {float(one.h[0, 0]):.4g}"
-    what = f"{_written(terms[worst])} {where}"
-    if not is_potential:
+    what, value = f"{_written(terms[worst])} {pair}", values[worst][0]
+    if len(values[worst]) == 1:
         return (
-            f"the friction {what} is {values[worst][0]:.4g}: it must be finite and not negative, for a negative one heats and "
+            f"the friction {what} is {value:.4g}: it must be finite and not negative, for a negative one heats and "
             "has no noise; give coefficients that keep it so, or jnp.maximum(..., 0.0) in the law"
         )
-    energy, slope = values[worst]
     cure = "beads can be there: give coefficients or a reach that keep it finite"
-    if math.isfinite(energy) and math.isnan(slope):
-        return f"the slope of the potential {what} is {-slope:.4g}, and {cure}; guard the argument inside jnp.where too"
-    return f"the potential {what} is {energy:.4g}, and {cure}"
+    if math.isfinite(value) and math.isnan(values[worst][1]):
+        return f"the slope of the potential {what} is nan, and {cure}; guard the argument inside jnp.where too"
+    return f"the potential {what} is {value:.4g}, and {cure}"
 
 
 def _written(term: Term) -> str:
