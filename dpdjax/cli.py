@@ -284,10 +284,10 @@ def _run_to(path, made, state, key, plan, flow, progress):
 def _contacts(made, state) -> float:
     """Contact number of one state."""
     import dpdjax as dpd
+    from dpdjax.model.colloids import attraction_range
 
     spheres = dpd.spheres_of(made.fluid, state)
-    # No force between colloids reaches farther than 1.
-    return float(dpd.contact_number(spheres, gap=min(3.0 / float(made.fluid.value("kappa")), 1.0)).mean.value)
+    return float(dpd.contact_number(spheres, gap=attraction_range(made.fluid)).mean.value)
 
 
 def _suspended_answer(result) -> str:

@@ -131,9 +131,9 @@ def test_caution_about_a_small_box():
 def test_caution_about_a_morse_potential_cut_short():
     short = dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1, reach=0.25)
     (said,) = cautions(dpd.colloid_fluid(attraction=short))
-    assert "cut off at h = 0.25" in said and "reach of 0.3, r0 + 6/kappa" in said
+    assert "cut off at h = 0.25" in said and "short of the reach that its law declares: give it a reach of 0.3" in said
     (said,) = cautions(dpd.colloid_fluid(D0=1.2, kappa=4.0))
-    assert "cut off at h = 1:" in said and "reach of 1.5" in said
+    assert "cut off at h = 1," in said and "reach of 1.5" in said
     for attraction in (dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1), dataclasses.replace(short, cut=0.3)):
         assert cautions(dpd.colloid_fluid(attraction=attraction)) == []
     assert cautions(dpd.colloid_fluid().set(kappa=jnp.array([4.0, 30.0]))), "the widest of a scan"

@@ -160,14 +160,18 @@ def test_contacts_are_those_of_all_images(strain):
 
 
 def test_the_gap_of_a_fluid_with_a_range():
-    def run(kappa=None):
-        found = {} if kappa is None else {"kappa": np.asarray(kappa)}
-        return recorded(apart(0.1, 0.3), found)
-
+    """That of the attraction between the spheres, up to its reach; a Yukawa ``kappa`` is none."""
+    run = lambda **numbers: recorded(apart(0.1, 0.3), fluid=dpd.colloid_fluid(radius=0.5, **numbers))
     assert contact_number(run(kappa=15.0)).gap == pytest.approx(0.2)
+    assert contact_number(run(kappa=15.0, r0=0.05)).gap == pytest.approx(0.25)
+    assert contact_number(run(kappa=2.0)).gap == pytest.approx(1.0), "cut off at r_c"
     assert contact_number(run(kappa=15.0)).series.tolist() == [[1, 0]]
     assert contact_number(run(kappa=15.0), gap=0.5).series.tolist() == [[1, 1]]
-    for what in (run(), run(kappa=np.diag([1.0, 2.0])), one_frame(apart(0.1))):
+    depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
+    assert contact_number(run(attraction=depletion)).gap == pytest.approx(0.2 * (1 - 0.1**0.5))
+    charged = dpd.term(dpd.yukawa, epsilon=1.0, kappa=15.0)
+    scan = dpd.colloid_fluid(radius=0.5).set(kappa=np.array([15.0, 20.0]))
+    for what in (run(attraction=charged), recorded(apart(0.1), fluid=scan), one_frame(apart(0.1))):
         with pytest.raises(ValueError, match="no gap is given.*give gap"):
             contact_number(what)
 
@@ -390,7 +394,7 @@ def test_one_species_has_the_whole_distribution():
 # Runs.
 
 
-def recorded(position, coefficients=None, strain=None, flow=None, size=None):
+def recorded(position, fluid=None, strain=None, flow=None, size=None):
     """What a run would leave behind of beads of species 1, radius 0.5."""
     n, frames = position.shape[-2], position.shape[-3]
     records = {"position": position, "time": np.broadcast_to(0.5 * np.arange(frames), position.shape[:-2])}
@@ -402,7 +406,7 @@ def recorded(position, coefficients=None, strain=None, flow=None, size=None):
             species=np.ones(n, int),
             size=np.ones(n) if size is None else size,
         ),
-        fluid=SimpleNamespace(radius=(None, 0.5), coefficients=coefficients or {}, batch_axes=lambda: None),
+        fluid=fluid or SimpleNamespace(radius=(None, 0.5), interactions=(), batch_axes=lambda: None),
         interval=0.5,
     )
 

@@ -156,7 +156,7 @@ def calibrate(
         return _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
     _check_goal(viscosity, pressure, target, observe)
     guess = _first_guess(fluid, parameter, guess, viscosity, density)
-    fluid = fluid.set(**{parameter: guess})
+    fluid = fluid.set(energies="keep", **{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
     say(f"equilibrating {boxes} boxes")
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
@@ -164,7 +164,7 @@ def calibrate(
 
     x, points, proposal = math.log(guess), [], None
     while True:
-        fluid = fluid.set(**{parameter: math.exp(x)})
+        fluid = fluid.set(energies="keep", **{parameter: math.exp(x)})
         bench.goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
         say(f"{parameter} {math.exp(x):.4g}: measuring")
         coarse = not points or proposal.why == "search"
@@ -182,7 +182,7 @@ def calibrate(
 
     value = math.exp(proposal.x)
     error = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
-    fluid = fluid.set(**{parameter: value})
+    fluid = fluid.set(energies="keep", **{parameter: value})
     bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
     settle = 0.5 * experiment.thermal_time(fluid)
     fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)

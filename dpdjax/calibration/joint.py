@@ -88,7 +88,7 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
         x = np.asarray(optax.apply_updates(x, updates), float)
     else:
         raise RuntimeError(f"no answer after {most_points} points, the last at {dict(zip(parameters, np.exp(x)))}")
-    fluid = fluid.set(**{n: math.exp(v) for n, v in zip(parameters, answer)})
+    fluid = fluid.set(energies="keep", **{n: math.exp(v) for n, v in zip(parameters, answer)})
     fresh = _fresh(fluid, benches, wanted, say)
     errors = np.exp(answer) * np.sqrt(np.diag(covariance))
     estimates = {n: Estimate(math.exp(v), float(e), len(points)) for n, v, e in zip(parameters, answer, errors)}
@@ -142,7 +142,7 @@ def _plane(points, k, centre):
 
 
 def _measure(fluid, parameters, benches, x, errors, first, say) -> JointPoint:
-    fluid = fluid.set(**{n: math.exp(v) for n, v in zip(parameters, x)})
+    fluid = fluid.set(energies="keep", **{n: math.exp(v) for n, v in zip(parameters, x)})
     settle = (1.0 if first else 0.5) * experiment.thermal_time(fluid)
     values, slopes = [], []
     for bench, error in zip(benches, errors):

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete
-from dpdjax.model.colloid_laws import morse
+from dpdjax.model import summary
 from dpdjax.model.colloids import diffusion_time
+from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid, Interaction
 from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE
 
@@ -27,6 +28,8 @@ DIRECTIONS = {CENTRAL: 1, TRANSVERSE: 2, FULL: 3}
 """In which a friction acts."""
 TOUCHING = 1e-6
 """Gap of colloids that all but touch, in reaches: some laws are zero in overlap."""
+DEEP = 40.0
+"""Depth of a potential [kT] that is seldom meant."""
 PRODUCTION_SIDE = 30.0
 """Shortest side at which a suspension counts as large, in ``r_c``."""
 
@@ -85,18 +88,14 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
     """What is allowed in a run with colloids but seldom meant, each with the number that would pass."""
     numbers = extreme(fluid)
     if not numbers.has_radii:
-        return []
+        return deep_wells(fluid)
     side, tau = float(np.min(state.box.lengths)), _diffusion_time(numbers)
     found = []
     if side < PRODUCTION_SIDE and not fluid.rotating:
         found.append(
             f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
         )
-    for t in (t for i in fluid.interactions for t in i.conservative if t.law is morse):
-        far = float(np.max(t.coefficients["r0"]) + 6.0 / np.min(t.coefficients["kappa"]))
-        cut = float(np.min(t.between()[1]))
-        if cut < far * (1 - 1e-6):
-            found.append(f"the Morse attraction is cut off at h = {cut:.3g}: give it a reach of {far:.3g}, r0 + 6/kappa")
+    found += cut_short(fluid) + deep_wells(fluid)
     interval = float(np.max(np.asarray(dt))) * plan.every
     if interval > tau:
         found.append(
@@ -106,10 +105,46 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
     return found
 
 
+def deep_wells(fluid: Fluid) -> list[str]:
+    """Which potentials are so deep that beads never leave: often a depth meant in kT."""
+    if not np.all(np.asarray(fluid.kT) > 0):
+        return []
+    depths = [(t, summary.depth_in_kT(fluid, i, t)[1]) for i in fluid.interactions for t in i.conservative]
+    return [
+        f"{name_of(t.law)} is {depth:.3g} kT deep, and beads that meet there stay for good: energies are given in the unit of "
+        f"energy, in which kT is {float(np.min(np.asarray(fluid.kT))):.3g}"
+        for t, depth in depths
+        if depth > DEEP
+    ]
+
+
+def cut_short(fluid: Fluid) -> list[str]:
+    """Which potentials are cut off before the reach that their law declares."""
+    worst = {}
+    for case in _cases(fluid):
+        for k, i in enumerate(case.interactions):
+            for n, t in enumerate(i.conservative):
+                declared = getattr(t.law, "reach", None)
+                if declared is None:
+                    continue
+                given = _given(case, i)
+                far = float(dataclasses.replace(t, cut=None, reach=declared).between(**given)[1])
+                cut = float(t.between(**given)[1])
+                if cut < far * (1 - 1e-6) and far > worst.get((k, n), ("", 0.0, 0.0))[1]:
+                    worst[k, n] = name_of(t.law), far, cut
+    return [
+        f"{name} is cut off at h = {cut:.3g}, short of the reach that its law declares: give it a reach of {far:.3g}"
+        for name, far, cut in worst.values()
+    ]
+
+
 def _diffusion_time(numbers) -> float:
     """That of the colloids, the last species; infinite without a viscosity to tell it from."""
-    eta_0 = float(numbers.coefficients.get("eta_0", 0.0))
-    return float(diffusion_time(numbers)) if eta_0 > 0 and numbers.kT > 0 and numbers.radius[-1] is not None else math.inf
+    known = any(hasattr(t.law, "viscosity") for i in numbers.interactions for t in i.drag)
+    if not known or numbers.kT <= 0 or numbers.radius[-1] is None:
+        return math.inf
+    tau = float(diffusion_time(numbers))
+    return tau if tau > 0 else math.inf
 
 
 def damping_rate(fluid: Fluid, density) -> float:

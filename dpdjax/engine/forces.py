@@ -150,9 +150,9 @@ def by_origin(terms, kind: str) -> dict:
 
 
 def safe_sqrt(x):
-    """Square root with derivative 0 at 0, where the plain one has none."""
-    above = x > 0
-    return jnp.where(above, jnp.sqrt(jnp.where(above, x, 1.0)), 0.0)
+    """Square root with derivative 0 at 0, where the plain one has none; NaN below, so that no run goes on without its noise."""
+    at_zero = x == 0
+    return jnp.where(at_zero, 0.0, jnp.sqrt(jnp.where(at_zero, 1.0, x)))
 
 
 class Words(NamedTuple):

@@ -9,11 +9,14 @@ from dpdjax.checks import positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt
+from dpdjax.engine.cores import closest
 from dpdjax.engine.start import placed, plan_lists
 from dpdjax.engine.state import State
-from dpdjax.model.colloids import COLLOID, sphere_volume
+from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
+from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.marbles import marble_fluid
+from dpdjax.model.summary import energies_in_kT, written
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,10 +57,22 @@ class Marbles:
                 f"{self.count} marble{'s' if self.count > 1 else ''} and {self.solvents} solvent beads in {sides}",
                 f"marbles: radius {float(self.fluid.radius[COLLOID]):g}, mass {mass:.4g} ({100 * self.share:.3g} % of the whole), "
                 f"inertia {inertia:.4g}",
-                f"kT {float(self.fluid.kT):g}, gamma {float(self.fluid.value('gamma')):g}, "
-                f"gamma_cs {float(self.fluid.value('gamma_cs')):g}, dt {self.dt:.4g}",
+                *self._energies(),
+                f"kT {float(self.fluid.kT):g}, {self._frictions()}, dt {self.dt:.4g}",
             ]
         )
+
+    def _frictions(self) -> str:
+        """The frictions of the solvent with itself and of the surface."""
+        among = self.fluid.interactions[:2]
+        numbers = [(k, c) for i in among for t in i.drag for k, c in t.coefficients.items() if k != "r_c"]
+        return ", ".join(f"{k} {written(c)}" for k, c in numbers)
+
+    def _energies(self) -> list[str]:
+        """The potentials of the marbles, in kT."""
+        names = ("marble and solvent", "two marbles")
+        told = lambda i: "; ".join(f"{name_of(t.law)} {energies_in_kT(self.fluid, i, t)}" for t in i.conservative)
+        return [f"{name}: {told(i)}" for name, i in zip(names, self.fluid.interactions[1:]) if i.conservative]
 
 
 def marbles(
@@ -90,9 +105,7 @@ def marbles(
     free = volume - float(sphere_volume(radii).sum())
     if free <= 0:
         raise ValueError(f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; use a larger box")
-    wall = {name: float(np.max(fluid.interactions[1].conservative[0].coefficients[name])) for name in ("r_0", "sigma")}
-    # Outside the wall, where its energy is at most epsilon.
-    clearance = max(0.0, wall["r_0"] + wall["sigma"] - float(radius)) * (1 + 1e-6)
+    clearance = float(closest(fluid)[SOLVENT, COLLOID])
     counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
     dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
     grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
-from dpdjax.engine import advice, motion, order
+from dpdjax.engine import advice, motion, order, soundness
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import batch_axes
@@ -121,7 +121,15 @@ def simulate(
             "use jax.vmap, or dpd.run with a vector of keys"
         )
     trajectory = advance(fluid, state, prng_key(key), dt, plan, flow, observe, lam, remat)
+    if not is_concrete(fluid, state.species, state.size):
+        trajectory = _judged(trajectory, soundness.law_trouble(fluid, state))
     return bits.poison(trajectory, trajectory.final.status, (fluid, state, dt, flow))
+
+
+def _judged(trajectory: Trajectory, trouble) -> Trajectory:
+    """The trajectory with more trouble in its status."""
+    final = dataclasses.replace(trajectory.final, status=trajectory.final.status | trouble)
+    return dataclasses.replace(trajectory, final=final)
 
 
 def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) -> Trajectory:
@@ -230,6 +238,7 @@ def check_run(fluid, state, key, dt, flow):
             "make the state with this fluid"
         )
     check_rotation(fluid, state)
+    soundness.check_laws(fluid, state)
     check_drive(flow, state)
     check_dt(fluid, state, dt)
     check_period(flow, state)

@@ -7,8 +7,9 @@ import numpy as np
 from dpdjax.checks import is_concrete, not_negative, positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
-from dpdjax.engine import packing
+from dpdjax.engine import packing, soundness
 from dpdjax.engine.advice import suggest_dt, suggest_skins
+from dpdjax.engine.cores import START_ENERGY, start_radii
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble, inertia_of
 from dpdjax.model.fluid import Fluid
@@ -36,7 +37,8 @@ def initial_state(
 ) -> State:
     """Beads in a box, with Maxwell velocities of zero total momentum.
 
-    At random, spheres (species with a radius) do not overlap, and points lie outside them.
+    At random, spheres (species with a radius) do not overlap, and points lie outside them. Beads whose potential diverges, as
+    that of Lennard-Jones, are placed no closer than where it is a few kT.
 
     Args:
         fluid: what the beads are.
@@ -74,10 +76,11 @@ def initial_state(
             "fluid outside vmap or grad, then scan or differentiate the run"
         )
     counts = _counts(fluid, np.asarray(box.lengths, float), density, n, fractions)
+    soundness.check_laws(fluid)
     # Planned first: what a box is too small for is told before anything is placed in it.
     grids = plan_lists(fluid, box, counts, skin=skin, dt=dt, sheared=sheared)
-    spheres = fluid.has_radii and start == "random"
-    position = _spheres_and_points(fluid, key, box, counts) if spheres else _positions(start, key, box, sum(counts))
+    radii = start_radii(fluid) if start == "random" else np.zeros(fluid.species)
+    position = _spheres_and_points(fluid, key, box, counts, radii) if radii.any() else _positions(start, key, box, sum(counts))
     return placed(fluid, key, box, position, counts, grids)
 
 
@@ -178,11 +181,20 @@ def _positions(start, key, box, n):
     raise ValueError(f'start is {start!r}; it is "random" or "lattice"')
 
 
-def _spheres_and_points(fluid, key, box, counts):
-    """Positions (n, 3) in the order of the species."""
+def _spheres_and_points(fluid, key, box, counts, radii):
+    """Positions (n, 3) in the order of the species, none closer than the radii (species,) allow."""
     if not is_concrete(key):
         raise ValueError("spheres are packed outside jit and vmap: build such states one by one, and stack them")
-    return jnp.asarray(packing.arrange(key, box, np.repeat([0.0 if r is None else float(r) for r in fluid.radius], counts)))
+    try:
+        return jnp.asarray(packing.arrange(key, box, np.repeat(radii, counts)))
+    except (ValueError, RuntimeError) as error:
+        grown = [f"{2 * R:.3g}" for R, real in zip(radii, fluid.radius) if R > (0.0 if real is None else float(real))]
+        if not grown:
+            raise
+        raise type(error)(
+            f"a potential of this fluid diverges, so beads start at least {', '.join(grown)} apart, where it is "
+            f'{START_ENERGY:g} kT, and at random they do not fit: use a lower density, or start="lattice" ({error})'
+        ) from error
 
 
 def _lattice(n, lengths):

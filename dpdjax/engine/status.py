@@ -10,6 +10,7 @@ NOT_FINITE = 4
 REACH_EXCEEDED = 8
 BOX_TOO_SMALL = 16
 RUN_AWAY = 32
+BAD_LAW = 64
 
 MEANINGS = {
     PAIRS_OVERFLOW: "a neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
@@ -19,6 +20,7 @@ MEANINGS = {
     RUN_AWAY: "the beads ran away, hotter than their energies explain; use a smaller shear rate or dt, or a start whose beads are "
     'further apart, start="lattice"',
     BOX_TOO_SMALL: "a side of the box fell below 2 (reach + skin); use a larger box or a smaller skin",
+    BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other coefficients",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
 

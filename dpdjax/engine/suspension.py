@@ -13,7 +13,9 @@ from dpdjax.engine.advice import suggest_dt
 from dpdjax.engine.start import placed, plan_lists
 from dpdjax.engine.state import State
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
+from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
+from dpdjax.model.summary import energies_in_kT
 
 SIZE_DOMAIN = 6
 """Folded into the user's key for the sizes of polydisperse colloids."""
@@ -69,10 +71,17 @@ class Suspension:
                 f"colloids: radius {float(self.fluid.radius[COLLOID]):g}{self._spread()}, mass {mass[COLLOID]:.4g}; "
                 f"solvent mass {mass[SOLVENT]:g}",
                 f"cut-offs between centres, and skins: {lists}",
+                *self._energies(),
                 f"kT {float(self.fluid.kT):g}, dt {self.dt:.2g}, diffusion time tau {self.tau:.4g}: {self.steps_per_tau:,} steps",
                 f"one tau is {self.steps_per_tau * self.state.n:.2g} particle-steps (dpdjax bench tells how many a second)",
             ]
         )
+
+    def _energies(self) -> list[str]:
+        """The potentials between colloids, in kT."""
+        pairs = self.fluid.interactions[-1]
+        told = [f"{name_of(t.law)} {energies_in_kT(self.fluid, pairs, t)}" for t in pairs.conservative]
+        return [f"between colloids: {'; '.join(told)}"]
 
     def _spread(self) -> str:
         sizes = np.asarray(self.state.size)[self.solvents :]

@@ -8,9 +8,7 @@ from dpdjax.checks import positive
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
 from dpdjax.measure.structure import average, draw, pieces_of, standard_error
-
-KAPPA_GAP = 3.0
-"""Spheres closer than this over ``kappa`` are in contact unless told otherwise: a Morse attraction is at a tenth there."""
+from dpdjax.model.colloids import attraction_range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,8 +43,8 @@ def contact_number(what, *, gap: float | None = None) -> ContactNumber:
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
-        gap: surface gap below which two spheres are in contact [length]; 3 / kappa for a run whose fluid has a
-            ``kappa``.
+        gap: surface gap below which two spheres are in contact [length]; by default, for a run, the range of the
+            attraction between its spheres, ``r0 + 3/kappa`` of a Morse potential, where a tenth of its depth is left.
 
     Raises ValueError for a gap that is missing, not above zero or too large for the box (``2 R + gap`` above half
     the shortest side), and as :func:`spheres` does.
@@ -79,7 +77,9 @@ def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
 
 
 def _gap_of_fluid(what) -> float:
-    kappa = np.unique(what.fluid.coefficients.get("kappa", [])) if hasattr(what, "fluid") else []
-    if len(kappa) != 1:
-        raise ValueError("no gap is given, and no fluid with one kappa tells it; give gap=... [length]")
-    return KAPPA_GAP / float(kappa[0])
+    if not hasattr(what, "fluid"):
+        raise ValueError("no gap is given, and no fluid tells it; give gap=... [length]")
+    try:
+        return attraction_range(what.fluid)
+    except ValueError as error:
+        raise ValueError(f"no gap is given, and {error}; give gap=... [length]") from error

@@ -6,7 +6,7 @@ reproduce it to the letter, where the default here differs.
 
 import jax.numpy as jnp
 
-from dpdjax.model.term import reaches
+from dpdjax.model.declare import attracts, bounded, of_viscosity, proportional_to, reaches
 
 
 def solvent_cut(*, r_c):
@@ -25,6 +25,8 @@ def balanced_cut(*, r_c, R_i, R_j):
 
 
 @reaches(balanced_cut)
+@proportional_to("strength")
+@bounded(r_c="positive")
 def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
     """Soft repulsion of colloid and solvent, force ``strength/r' (1 - h/r')``, with ``r'`` of :func:`balanced_cut`.
 
@@ -36,6 +38,8 @@ def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
 
 
 @reaches(balanced_cut)
+@proportional_to("strength")
+@bounded(r_c="positive")
 def scripts_repulsion(h, *, strength, r_c, R_i, R_j):
     """:func:`balanced_repulsion` as the group's scripts have it: ``strength`` over the cut-off from the *centre*."""
     cut = balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)
@@ -43,12 +47,15 @@ def scripts_repulsion(h, *, strength, r_c, R_i, R_j):
 
 
 @reaches(balanced_cut)
+@bounded(gamma="not negative", r_c="positive")
 def balanced_drag(h, *, gamma, r_c, R_i, R_j):
     """DPD friction of colloid and solvent, ``gamma (1 - h/r')^2`` with ``r'`` of :func:`balanced_cut`."""
     return gamma * (1.0 - h / balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)) ** 2
 
 
 @reaches(lambda *, Delta: Delta)
+@proportional_to("f")
+@bounded(f="not negative", Delta="positive", r_c="positive")
 def contact(h, *, f, Delta, r_c):
     """Semi-hard contact (after Jamali & Boromand 2015): force ``f (1 - h/Delta)^3`` up to ``Delta``, ``f (1 - h/r_c)`` in overlap.
 
@@ -61,12 +68,17 @@ def contact(h, *, f, Delta, r_c):
 
 
 @reaches(lambda *, Delta: Delta)
+@proportional_to("f")
+@bounded(f="not negative", Delta="positive", r_c="positive")
 def scaled_contact(h, *, f, Delta, r_c, R_i, R_j):
     """:func:`contact` times ``((R_i + R_j)/2)^3``, as in the code behind the published data."""
     return contact(h, f=f, Delta=Delta, r_c=r_c) * (0.5 * (R_i + R_j)) ** 3
 
 
 @reaches(lambda *, kappa, r0: r0 + 6.0 / kappa)
+@attracts(lambda *, kappa, r0: r0 + 3.0 / kappa)
+@proportional_to("D0")
+@bounded(D0="not negative", kappa="positive")
 def morse(h, *, D0, kappa, r0):
     """Morse potential ``D0 (exp(-2 kappa (h - r0)) - 2 exp(-kappa (h - r0)))`` [energy] (Morse 1929, eq. 4).
 
@@ -78,6 +90,9 @@ def morse(h, *, D0, kappa, r0):
 
 
 @reaches(lambda *, r_g: 2.0 * r_g)
+@attracts(lambda *, r_g: 2.0 * r_g * (1.0 - 0.1**0.5))
+@proportional_to("kT")
+@bounded(phi_p="not negative", r_g="positive")
 def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
     """Depletion attraction by ideal polymer (Asakura & Oosawa 1954): osmotic pressure times the overlap of the depletion zones.
 
@@ -92,6 +107,8 @@ def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
 
 
 @reaches(lambda *, kappa: 8.0 / kappa)
+@proportional_to("epsilon")
+@bounded(kappa="positive")
 def yukawa(h, *, epsilon, kappa, R_i, R_j):
     """Screened Coulomb potential of two spheres, ``epsilon (R_i + R_j)/r exp(-kappa h)`` [energy].
 
@@ -101,6 +118,8 @@ def yukawa(h, *, epsilon, kappa, R_i, R_j):
     return epsilon * (R_i + R_j) / (h + R_i + R_j) * jnp.exp(-kappa * h)
 
 
+@of_viscosity("eta_0")
+@bounded(eta_0="not negative", delta="positive")
 def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
     """Squeezing friction ``3 pi eta_0/(2 h) ((R_i + R_j)/2)^2``, constant below ``delta`` (Ball & Melrose 1997, appendix A).
 
@@ -110,17 +129,23 @@ def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
     return 1.5 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (0.5 * (R_i + R_j)) ** 2
 
 
+@of_viscosity("eta_0")
+@bounded(eta_0="not negative", delta="positive")
 def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
     """Squeezing friction ``6 pi eta_0/h (R_i R_j/(R_i + R_j))^2``, exact to leading order (Jeffrey & Onishi 1984, eq. 3.17)."""
     return 6.0 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (R_i * R_j / (R_i + R_j)) ** 2
 
 
+@of_viscosity("eta_0")
+@bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
 def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
     """Drag of lubricated colloids as first published: :func:`central_drag` and lubrication, none of either in overlap."""
     lubrication = squeezing_lubrication(h, eta_0=eta_0, delta=delta, R_i=R_i, R_j=R_j)
     return jnp.where(h > 0, gamma * (1.0 - h / r_c) ** 2 + lubrication, 0.0)
 
 
+@of_viscosity("eta_0")
+@bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
 def literal_noise(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
     """The friction behind the noise of lubricated colloids as first published, ``(gamma + a_sq) w^2``.
 

@@ -1,6 +1,7 @@
 """Colloids in a DPD solvent: the fluid of a suspension from a few numbers, and what follows from them."""
 
 import dataclasses
+import functools
 import math
 import warnings
 from collections.abc import Callable, Sequence
@@ -121,12 +122,51 @@ def diffusion_time(fluid: Fluid):
     """The bare diffusion time of a colloid, ``tau = R^2/D`` with ``D = kT/(6 pi eta_0 R)`` [time].
 
     Results of suspensions are told in ``t/tau``. It supposes stick, and that ``eta_0`` is the viscosity of
-    the solvent. Raises TypeError for a fluid without ``eta_0`` or radius.
+    the solvent. Raises TypeError for a fluid without a viscosity or radius, ValueError for one with two viscosities.
     """
     radius = fluid.radius[-1]
     if radius is None:
         raise TypeError("the last species has no radius; a diffusion time is that of a colloid")
-    return 6.0 * math.pi * fluid.value("eta_0") * radius**3 / fluid.kT
+    return 6.0 * math.pi * solvent_viscosity(fluid) * radius**3 / fluid.kT
+
+
+def solvent_viscosity(fluid: Fluid):
+    """The viscosity of the solvent that lubrication is given, as its laws declare with ``dpd.of_viscosity`` [energy time/volume].
+
+    Raises TypeError where no law has it, ValueError where two disagree.
+    """
+    names = {t.law.viscosity for i in fluid.interactions for t in i.drag if hasattr(t.law, "viscosity")}
+    if not names:
+        raise TypeError(
+            "no friction of this fluid declares the viscosity of the solvent, as the 'eta_0' of lubrication; "
+            'mark your law with @dpd.of_viscosity("eta_0")'
+        )
+    if len(names) > 1:
+        raise ValueError(f"the viscosity of the solvent is {', '.join(sorted(names))} in different laws: give it one name")
+    return fluid.value(names.pop())
+
+
+def attraction_range(fluid: Fluid) -> float:
+    """The gap over which spheres attract, as their laws declare with ``dpd.attracts``, up to where they are cut [length].
+
+    The widest where there are several. Raises ValueError without one, and for a scan or a table of different ranges.
+    """
+    between_spheres = [i for i in fluid.interactions if all(fluid.radius[k] is not None for group in i.groups for k in group)]
+    found = [_range_of(fluid, i, t) for i in between_spheres for t in i.conservative if hasattr(t.law, "attraction")]
+    if not found:
+        raise ValueError("no law between the spheres of this fluid declares how far it attracts, as dpd.morse does")
+    widest = np.unique(functools.reduce(np.maximum, found))
+    if len(widest) > 1:
+        raise ValueError(f"the attractions of this fluid have the ranges {', '.join(f'{r:.4g}' for r in widest)}")
+    return float(widest[0])
+
+
+def _range_of(fluid, interaction, attraction: Term):
+    """How far one term attracts, at most up to its reach."""
+    R_i, R_j = (max(np.max(np.asarray(fluid.radius[k])) for k in group) for group in interaction.groups)
+    given = {"R_i": R_i, "R_j": R_j, "kT": np.asarray(fluid.kT)}
+    wide = dataclasses.replace(attraction, law=attraction.law.attraction).between(**given)
+    return np.minimum(np.asarray(wide[0](), float), np.asarray(wide[1], float))
 
 
 def _of_colloids(attraction: Term) -> Term:

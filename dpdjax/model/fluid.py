@@ -1,6 +1,7 @@
 """A fluid: which groups of beads interact by which terms, at which temperature and mass."""
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,8 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import not_negative, number, positive
-from dpdjax.model.term import CENTRAL, Term, check_table, replace_coefficients, several
+from dpdjax.checks import is_concrete, not_negative, number, positive
+from dpdjax.model import summary
+from dpdjax.model.declare import CENTRAL, name_of
+from dpdjax.model.term import Term, check_table, replace_coefficients, several
 
 ORIGINS = ("conservative", "drag", "random")
 """Where stress comes from, unless a term has a name of its own for it."""
@@ -52,7 +55,7 @@ class Interaction:
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Fluid:
     """Everything the matter is, and nothing of where it is; build it with :func:`fluid`.
 
@@ -71,6 +74,12 @@ class Fluid:
     mass: Any
     radius: tuple[Any, ...]
     inertia: tuple[Any, ...]
+
+    def __repr__(self):
+        return summary.short(self)
+
+    def __str__(self):
+        return summary.full(self)
 
     @property
     def species(self) -> int:
@@ -115,24 +124,32 @@ class Fluid:
         return tuple(dict.fromkeys((kind, *labels)))
 
     @property
-    def coefficients(self) -> dict[str, Any]:
-        """Every coefficient by name; the first term that has it decides."""
-        found = {}
-        for interaction in self.interactions:
-            for t in interaction.terms:
-                for name, value in t.coefficients.items():
-                    found.setdefault(name, value)
-        return found
+    def coefficients(self) -> tuple[str, ...]:
+        """The names of all coefficients; :meth:`value` has their numbers."""
+        return tuple(sorted({name for i in self.interactions for t in i.terms for name in t.coefficients}))
 
-    def value(self, name: str):
-        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or a coefficient."""
-        if name in ("kT", "mass"):
+    def value(self, name: str, *, between=None):
+        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or a coefficient.
+
+        ``between``: the two species (or groups of species) whose terms are asked. Raises TypeError for a name that no
+        term knows, ValueError where terms disagree; where numbers are traced, one on which they disagree is NaN.
+        """
+        if between is None and name in ("kT", "mass"):
             return getattr(self, name)
-        if name == "inertia" and self.rotating:
+        if between is None and name == "inertia" and self.rotating:
             return self.inertia[self.rotating[0]] if len(self.rotating) == 1 else self.inertia
-        if name not in self.coefficients:
-            raise TypeError(_unknown(name, self))
-        return self.coefficients[name]
+        found = [(i, t) for i in self._between(between) for t in i.terms if name in t.coefficients]
+        if not found:
+            raise TypeError(_unknown(name, self, between))
+        return _agreed(name, found)
+
+    def _between(self, between) -> tuple[Interaction, ...]:
+        """The interactions of two groups, of all by default; ValueError where there is none."""
+        groups = None if between is None else _groups(between)
+        chosen = tuple(i for i in self.interactions if groups in (None, i.groups))
+        if not chosen:
+            raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
+        return chosen
 
     def batch_axes(self) -> "Fluid":
         """The ``in_axes`` of this fluid for ``jax.vmap``: 0 for numbers that carry a batch.
@@ -154,32 +171,40 @@ class Fluid:
         """Whether any number carries a batch axis."""
         return bool(jax.tree.leaves(self.batch_axes()))
 
-    def set(self, *, between=None, **numbers) -> "Fluid":
+    def set(self, *, between=None, energies: str | None = None, **numbers) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
         ``between``: the two species (or groups of species) whose terms alone take them. ``kT``, ``mass`` and ``inertia``
         are set the same way, of the whole fluid; ``inertia`` of all species that rotate, which a new mass leaves as it
         is. Raises TypeError for a name that no term knows, ValueError for a value that no fluid can have.
+
+        ``energies``: what a new ``kT`` does to the potentials. ``"keep"`` leaves their coefficients as they are, so that a
+        repulsion of 25 kT is one of 250 at a tenth of kT; ``"scale"`` keeps them the same in kT, for laws that declare what
+        they are ``dpd.proportional_to``. A plain new ``kT`` alone keeps them with a warning; a scan, a traced
+        number, or zero keeps them without.
         """
-        groups = None if between is None else _groups(between)
-        chosen = [i for i in self.interactions if groups in (None, i.groups)]
-        if not chosen:
-            raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
+        if energies not in (None, "keep", "scale"):
+            raise ValueError(f'energies is {energies!r}; it is "keep" or "scale"')
+        if energies == "scale" and "kT" not in numbers:
+            raise ValueError('energies="scale" goes with a new kT, and none is given')
+        chosen = self._between(between)
         known = {name for i in chosen for t in i.terms for name in t.coefficients}
         for name in numbers:
-            if name not in known and between is not None:
-                raise TypeError(f"no term between {between} has {name!r}; they have {', '.join(sorted(known))}")
-            if name not in known and name not in self._own_numbers:
-                raise TypeError(_unknown(name, self))
+            if name not in known and (between is not None or name not in self._own_numbers):
+                raise TypeError(_unknown(name, self, between))
+        given = set(numbers)
         kT = not_negative(numbers.pop("kT"), "kT") if "kT" in numbers else self.kT
+        if energies is None and "kT" in given:
+            _warn_of_energies(self, kT, given)
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
         turned = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
         inertia = tuple(old if old is None or turned is None else turned for old in self.inertia)
-        _check_coefficients(numbers)
         for name, value in numbers.items():
             check_table(name, number(value, name), self.species)
-        changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if groups in (None, i.groups) else i
-        return Fluid(tuple(map(changed, self.interactions)), kT, mass, self.radius, inertia)
+        groups = [i.groups for i in chosen]
+        changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
+        interactions = _scaled(self, kT, given) if energies == "scale" else self.interactions
+        return Fluid(tuple(map(changed, interactions)), kT, mass, self.radius, inertia)
 
     @property
     def _own_numbers(self) -> tuple[str, ...]:
@@ -200,8 +225,6 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
     Raises ValueError for groups that overlap, or without any term; TypeError for what is not a term.
     """
     parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
-    for t in parts[0] + parts[1] + parts[2]:
-        _check_coefficients(t.coefficients)
     for t in parts[0]:
         if t.projector != CENTRAL:
             raise ValueError(f"{t.law.__name__} is {t.projector}, and the force of a potential is central: give it as a drag")
@@ -282,11 +305,34 @@ def _check_groups(interactions):
         seen.add(i.groups)
 
 
-def _check_coefficients(coefficients):
-    for name in {"gamma", "gamma_t", "gamma_cs", "eta_0"} & set(coefficients):
-        not_negative(coefficients[name], name)
-    for name in {"r_c", "delta", "Delta", "kappa", "sigma"} & set(coefficients):
-        positive(coefficients[name], name)
+def _warn_of_energies(fluid, kT, given):
+    """Tell once for each place in a program that potentials stay while kT changes, where neither is said."""
+    strengths = {name for i in fluid.interactions for t in i.conservative for name in t.coefficients}
+    if not strengths or strengths & given or not is_concrete(kT, fluid.kT) or jnp.ndim(kT) or not np.all(np.asarray(kT) > 0):
+        return
+    if not np.array_equal(kT, fluid.kT):
+        warnings.warn(
+            f"kT is now {summary.written(kT)} and was {summary.written(fluid.kT)}, and potentials keep their coefficients, "
+            'so that they are others in kT: say energies="keep" if that is meant, energies="scale" to keep them the same in kT',
+            stacklevel=3,
+        )
+
+
+def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
+    """The interactions with every potential scaled by the new kT over the old one."""
+    if is_concrete(fluid.kT) and not np.all(np.asarray(fluid.kT) > 0):
+        raise ValueError('kT was 0, and energies="scale" has nothing to scale by: set the coefficients')
+
+    def scaled(t: Term) -> Term:
+        name = getattr(t.law, "strength", None)
+        if name is None and not given & set(t.coefficients):
+            raise ValueError(
+                f"{name_of(t.law)} does not say which coefficient it is proportional to: mark it with "
+                '@dpd.proportional_to("..."), or give that coefficient beside kT'
+            )
+        return t if name not in t.coefficients else replace_coefficients(t, {name: t.coefficients[name] * (kT / fluid.kT)})
+
+    return tuple(dataclasses.replace(i, conservative=tuple(map(scaled, i.conservative))) for i in fluid.interactions)
 
 
 def _masses(mass, species):
@@ -327,5 +373,28 @@ def _count_species(terms, mass, radius, inertia, species, groups):
     return next(iter(sizes), 1)
 
 
-def _unknown(name, fluid):
-    return f"no term of this fluid has {name!r}; it has {', '.join((*fluid._own_numbers, *sorted(fluid.coefficients)))}"
+def _agreed(name, found):
+    """The number of terms ``found``, (interaction, term) each, that have to agree on it."""
+    values = [t.coefficients[name] for _, t in found]
+    first = values[0]
+    if all(v is first for v in values):
+        return first
+    alike = all(jnp.shape(v) == jnp.shape(first) for v in values)
+    if alike and not is_concrete(values):
+        same = jnp.all(jnp.stack([jnp.all(v == first) for v in values]))
+        return first * jnp.where(same, 1.0, jnp.nan).astype(first.dtype)
+    if alike and all(np.array_equal(v, first) for v in values):
+        return first
+    told = "; ".join(f"{_shown(v)} of {name_of(t.law)} between {i.groups}" for v, (i, t) in zip(values, found))
+    raise ValueError(f"the terms of this fluid disagree on {name!r}: {told}. Ask for one, fluid.value({name!r}, between=(0, 0))")
+
+
+def _shown(value) -> str:
+    return str(np.asarray(value).tolist()) if is_concrete(value) else f"a traced number of shape {jnp.shape(value)}"
+
+
+def _unknown(name, fluid, between=None):
+    if between is None:
+        return f"no term of this fluid has {name!r}; it has {', '.join((*fluid._own_numbers, *fluid.coefficients))}"
+    known = sorted({k for i in fluid._between(between) for t in i.terms for k in t.coefficients})
+    return f"no term between {between} has {name!r}; they have {', '.join(known)}"

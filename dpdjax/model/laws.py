@@ -10,9 +10,11 @@ For point beads the gap is the centre distance.
 
 import jax.numpy as jnp
 
-from dpdjax.model.term import TRANSVERSE, projected
+from dpdjax.model.declare import TRANSVERSE, bounded, projected, proportional_to
 
 
+@proportional_to("a")
+@bounded(r_c="positive")
 def soft_repulsion(h, *, a, r_c):
     """Soft repulsion of Groot & Warren (1997, eq. 4): the force is ``a (1 - h/r_c)``.
 
@@ -22,6 +24,7 @@ def soft_repulsion(h, *, a, r_c):
     return 0.5 * a * r_c * (1.0 - h / r_c) ** 2
 
 
+@bounded(gamma="not negative", r_c="positive")
 def central_drag(h, *, gamma, r_c):
     """DPD friction ``gamma (1 - h/r_c)**2`` along the line of centres.
 
@@ -30,6 +33,7 @@ def central_drag(h, *, gamma, r_c):
     return gamma * (1.0 - h / r_c) ** 2
 
 
+@bounded(gamma="not negative", r_c="positive", s="not negative")
 def power_drag(h, *, gamma, r_c, s):
     """DPD friction ``gamma (1 - h/r_c)**s`` with a free weight exponent ``s``.
 
@@ -43,6 +47,7 @@ def power_drag(h, *, gamma, r_c, s):
 
 
 @projected(TRANSVERSE)
+@bounded(gamma_t="not negative", r_c="positive")
 def transverse_drag(h, *, gamma_t, r_c):
     """Friction ``gamma_t (1 - h/r_c)**2`` across the line of centres (Junghans, Praprotnik & Kremer 2008, eqs. 3 and 4).
 

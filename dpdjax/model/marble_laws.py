@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from dpdjax.model.term import FULL, projected, reaches
+from dpdjax.model.declare import FULL, bounded, projected, proportional_to, reaches
 
 WIDEST = 2 ** (1 / 6)
 """Where the Lennard-Jones potential is lowest, in sigma."""
@@ -11,6 +11,8 @@ STEEPEST = 0.5
 
 
 @reaches(lambda *, sigma, r_0, R_i, R_j: r_0 + WIDEST * sigma - R_i - R_j)
+@proportional_to("epsilon")
+@bounded(epsilon="not negative", sigma="positive")
 def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
     """Lennard-Jones repulsion of the distance ``r - r_0`` between centre and shell [energy] (Zhou & Schmid 2015, eq. 5).
 
@@ -27,6 +29,7 @@ def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
 
 @projected(FULL)
 @reaches(lambda *, r_c: r_c)
+@bounded(gamma_cs="not negative", r_c="positive")
 def surface_drag(h, *, gamma_cs, r_c):
     """Friction ``gamma_cs (1 - |h|/r_c)^2`` of a solvent bead and the surface next to it (Zhou & Schmid 2015, eq. 12).
 

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from dpdjax.checks import not_negative, positive
 from dpdjax.model import laws
 from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
+from dpdjax.model.declare import FULL, PROJECTORS
 from dpdjax.model.fluid import Fluid, fluid, interaction
 from dpdjax.model.marble_laws import shifted_repulsion, surface_drag
-from dpdjax.model.term import FULL, PROJECTORS, Term, several, term
+from dpdjax.model.term import Term, several, term
 
 
 def marble_fluid(

@@ -7,41 +7,29 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
+from dpdjax.model.declare import CENTRAL, FULL, TRANSVERSE, check_bounds, known_projector, name_of
 
 GIVEN = ("R_i", "R_j", "kT")
 """What a law may ask for by name without being given it: the radii of the two beads, the thermal energy."""
+GAPS = (5,)
+"""Shape of the gaps that a law is tried with: one that no pair of numbers has by accident."""
+CURES = {
+    "TracerBoolConversionError": "branches with `if` on a traced value; use jnp.where",
+    "truth value": "branches with `if` on a traced value; use jnp.where",
+    "TracerArrayConversionError": "takes a traced value out of JAX; use jax.numpy, not numpy or math",
+    "ConcretizationTypeError": "takes a traced value out of JAX; use jax.numpy, not numpy or math",
+    "Python scalars": "takes a traced value out of JAX; use jax.numpy, not numpy or math",
+    "valid JAX": "does not return numbers; an energy or a friction is wanted for each gap",
+}
+"""What Python and JAX say of a law that cannot be traced, and what is told instead."""
 RESERVED = ("kinetic", "conservative", "drag", "random", "tensor")
 """Names of stresses that no term may take for its own."""
-CENTRAL, TRANSVERSE, FULL = "central", "transverse", "full"
-PROJECTORS = (CENTRAL, TRANSVERSE, FULL)
-"""What part of the relative velocity of two surfaces a friction acts on: along the line of centres, across it, all of it."""
 ALONG, ACROSS = (CENTRAL, FULL), (TRANSVERSE, FULL)
-"""Those that act along the line of centres, and those that act across it."""
-
-
-def reaches(function: Callable):
-    """A decorator that says where a law ends: ``function(*, ...)`` of its coefficients, R_i, R_j and kT [length]."""
-
-    def declared(law):
-        law.reach = function
-        return law
-
-    return declared
-
-
-def projected(projector: str):
-    """A decorator that says which part of the relative velocity a friction acts on, one of ``PROJECTORS``."""
-
-    _known_projector(projector)
-
-    def declared(law):
-        law.projector = projector
-        return law
-
-    return declared
+"""Projectors of what acts along the line of centres, and of what acts across it."""
 
 
 @jax.tree_util.register_dataclass
@@ -91,10 +79,12 @@ def term(law: Callable, *, reach=None, origin: str | None = None, projector: str
         **coefficients: a scalar or a symmetric (species, species) table each.
 
     Raises:
-        TypeError: a coefficient the law does not know, or one it lacks.
-        ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an unknown projector.
+        TypeError: a coefficient the law does not know, or one it lacks; a law that branches with ``if`` on what is traced,
+            or that does not return real numbers of the shape of ``h``.
+        ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an unknown projector; a
+            number outside what the law declares with ``dpd.bounded``.
     """
-    name = getattr(law, "__name__", repr(law))
+    name = name_of(law)
     if origin in RESERVED:
         raise ValueError(f"origin {origin!r} of {name} is taken: give the stress another name, or none")
     declared = getattr(law, "reach", None) if reach is None else reach if callable(reach) else None
@@ -114,15 +104,16 @@ def term(law: Callable, *, reach=None, origin: str | None = None, projector: str
         check_table(k, v)
     if reach is None and declared is None and "r_c" not in values:
         raise ValueError(f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)")
+    check_bounds(law, values)
     cut = None if reach is None or callable(reach) else positive(reach, f"reach of {name}")
-    projector = getattr(law, "projector", CENTRAL) if projector is None else _known_projector(projector)
+    if reach is None and declared is None:
+        positive(values["r_c"], "r_c")
+    names = (*values, *GIVEN)
+    _check_value(law, tuple(k for k in names if k in _keywords(law)), GAPS, "its energy or friction")
+    if declared is not None:
+        _check_value(declared, tuple(k for k in names if k in _keywords(declared)), None, "its reach")
+    projector = getattr(law, "projector", CENTRAL) if projector is None else known_projector(projector)
     return Term(law, values, cut, declared, origin, projector)
-
-
-def _known_projector(projector: str) -> str:
-    if projector not in PROJECTORS:
-        raise ValueError(f"projector is {projector!r}; it is one of {', '.join(PROJECTORS)}")
-    return projector
 
 
 def several(terms) -> list[Term]:
@@ -132,6 +123,25 @@ def several(terms) -> list[Term]:
         if not isinstance(t, Term):
             raise TypeError(f"{getattr(t, '__name__', repr(t))} is not a term; write dpd.term(law, coefficient=...)")
     return terms
+
+
+@functools.lru_cache(maxsize=256)
+def _check_value(function, names: tuple[str, ...], gaps, what: str):
+    """Raise TypeError unless a law, or a reach, gives floats of the right shape for traced numbers."""
+    scalar = jax.ShapeDtypeStruct((), float)
+    h = () if gaps is None else (jax.ShapeDtypeStruct(gaps, float),)
+    try:
+        given = jax.eval_shape(lambda h, numbers: function(*h, **numbers), h, dict.fromkeys(names, scalar))
+    except (TypeError, ValueError) as error:
+        cures = [cure for said, cure in CURES.items() if said in f"{type(error).__name__}: {error}"]
+        if not cures:
+            raise
+        raise TypeError(f"{name_of(function)} {cures[0]}") from error
+    if not hasattr(given, "dtype") or not jnp.issubdtype(given.dtype, jnp.floating):
+        kind = getattr(given, "dtype", type(given).__name__)
+        raise TypeError(f"{name_of(function)} returns {kind}; {what} is wanted, real floating-point numbers")
+    if given.shape not in ((), gaps):
+        raise TypeError(f"{name_of(function)} returns shape {given.shape} for gaps of shape {gaps}; {what} is wanted for each gap")
 
 
 @functools.cache
@@ -155,4 +165,5 @@ def check_table(name, value, species: int | None = None):
 def replace_coefficients(term: Term, changes: dict) -> Term:
     """A copy with the coefficients named in ``changes``."""
     mine = {k: number(v, k) for k, v in changes.items() if k in term.coefficients}
+    check_bounds(term.law, mine)
     return dataclasses.replace(term, coefficients={**term.coefficients, **mine})
