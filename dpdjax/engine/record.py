@@ -59,6 +59,26 @@ def integral(observe: Callable) -> Recorder:
     return Recorder(observe, "integral")
 
 
+def check_names(how: list[Recorder], fluid, state) -> None:
+    """Raise ValueError where two observables, or one and the frame's ``time`` or ``step``, record the same name."""
+    taken = {"time": "every frame", "step": "every frame"}
+    for one in how:
+        if one in taken.values():
+            continue
+        for name in jax.eval_shape(one.now, fluid, state):
+            if name in taken:
+                mine, other = _told(one), _told(taken[name])
+                raise ValueError(f"{name!r} is recorded by {other} and by {mine}: return one of them under another name")
+            taken[name] = one
+
+
+def _told(recorder) -> str:
+    if not isinstance(recorder, Recorder):
+        return recorder
+    name = getattr(recorder.observe, "__name__", repr(recorder.observe))
+    return name if recorder.how == "last" else f"{recorder.how}({name})"
+
+
 def recorders(observe) -> list[Recorder]:
     """One observable, recorder or a sequence of either, as a list of recorders."""
     if observe is None:
