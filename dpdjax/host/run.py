@@ -15,7 +15,7 @@ from dpdjax.engine.advice import cautions
 from dpdjax.engine.batching import batch_axes
 from dpdjax.engine.chunk import batched, complete_lists, replayed
 from dpdjax.engine.record import averaged, recorders
-from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
+from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 
 CHUNK, LEAST = 1_000_000, 50
@@ -31,7 +31,7 @@ class RunError(RuntimeError):
 
 
 def run(
-    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True
+    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True, around=(0, 0)
 ) -> Trajectory:
     """Run with everything a person at a keyboard expects; see ``simulate`` for the arguments.
 
@@ -44,16 +44,20 @@ def run(
     every number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan.
     An accelerator runs the members side by side, a CPU one after another: its caches hold one.
 
+    ``around`` is for a run in pieces: the frames before this piece and those after it, which the message of Ctrl-C counts too.
+
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
         RunError: positions that became NaN; its ``trajectory`` holds the frames before.
     """
     key = prng_key(key)
+    check_kinds(fluid, state)
     flow = flows.quiet() if flow is None else flow
     state = batched(state, key)
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
     check_plan(plan)
     check_run(fluid, one, key, dt, flow)
+    check_finite(state)
     for caution in cautions(fluid, state, dt, plan):
         warnings.warn(caution, stacklevel=2)
     _check_members(fluid, dt, flow, key)
@@ -79,7 +83,7 @@ def run(
             state, done, pieces = after, done + chunk.frames, [*pieces, frames]
             bar.update(chunk.steps)
     except KeyboardInterrupt:
-        tqdm.write(f"interrupted after {done} of {plan.frames} frames", file=sys.stderr)
+        tqdm.write(f"interrupted after {around[0] + done} of {sum(around) + plan.frames} frames", file=sys.stderr)
     finally:
         bar.close()
     return _trajectory(state, pieces, numbers, plan, complete=done == plan.frames)
