@@ -241,7 +241,10 @@ def test_names_that_are_recorded_twice(water, fresh, key):
         record(dpd.momentum, dpd.mean(dpd.momentum))
     with refused(ValueError, "'time' is recorded by every frame and by clock"):
         record(clock)
-    record(dpd.standard, dpd.standard)
+    with refused(ValueError, "'wave_velocity' is recorded by"):
+        record(dpd.sine_record(1), dpd.sine_record(2))
+    record(dpd.standard, dpd.standard, dpd.temperature)
+    record(dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses), dpd.mean(dpd.standard))
 
 
 def test_names_that_are_not_there():
