@@ -335,3 +335,18 @@ def test_a_missing_package_is_named(fluid, state, monkeypatch, tmp_path):
     with pytest.raises(ImportError, match="pip install gsd"), dpd.gsd_writer(tmp_path / "none.gsd", fluid, state):
         pass
     assert importlib.util.find_spec("gsd") is not None
+
+
+def test_a_state_that_is_not_written_whole_leaves_the_old_one(state, tmp_path, monkeypatch):
+    path = tmp_path / "state.npz"
+    dpd.save_state(path, state)
+    before = path.read_bytes()
+
+    def cut(file, **arrays):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", cut)
+    with pytest.raises(KeyboardInterrupt):
+        dpd.save_state(path, state)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]

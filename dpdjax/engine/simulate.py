@@ -76,20 +76,23 @@ class Trajectory:
     def is_batch(self) -> bool:
         return jnp.ndim(self.final.position) == 3
 
-    def members(self) -> list["Trajectory"]:
-        """The trajectories of a batch one by one, each with its own numbers."""
+    def __getitem__(self, which) -> "Trajectory":
+        """Members of a batch with their own numbers: one by its number, or a batch by a slice or a list of numbers."""
         if not self.is_batch:
-            return [self]
+            raise TypeError("this trajectory is no batch and has no members to choose from; its frames are in .frames")
+        members = self.final.position.shape[0]
+        chosen = np.arange(members)[which]
+        if np.ndim(chosen) > 1 or not np.size(chosen):
+            raise IndexError(f"{which!r} chooses no members of the {members} of this batch; give a number, a slice or a list")
         numbers = self.fluid, self.dt, self.flow
-        axes = batch_axes(*numbers)
+        take = lambda tree: jax.tree.map(lambda leaf: leaf[chosen], tree)
+        own = lambda axis, part: part if axis is None else take(part)
+        fluid, dt, flow = jax.tree.map(own, batch_axes(*numbers), numbers, is_leaf=lambda axis: axis is None)
+        return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
 
-        def pick(k):
-            take = lambda tree: jax.tree.map(lambda leaf: leaf[k], tree)
-            own = lambda axis, leaf: leaf if axis is None else leaf[k]
-            fluid, dt, flow = jax.tree.map(own, axes, numbers, is_leaf=lambda axis: axis is None)
-            return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
-
-        return [pick(k) for k in range(self.final.position.shape[0])]
+    def members(self) -> list["Trajectory"]:
+        """The trajectories of a batch one by one, each with its own numbers; of one run, that alone."""
+        return [self[k] for k in range(self.final.position.shape[0])] if self.is_batch else [self]
 
 
 def simulate(

@@ -51,6 +51,8 @@ def run(
         RunError: positions that became NaN; its ``trajectory`` holds the frames before.
     """
     key = prng_key(key)
+    if key.ndim > 1:
+        raise ValueError(f"keys have shape {key.shape}; give a vector of them, keys.reshape(-1), and numbers alike, one for each")
     check_kinds(fluid, state)
     flow = flows.quiet() if flow is None else flow
     state = batched(state, key)
@@ -77,7 +79,8 @@ def run(
             if broken:
                 partial = _trajectory(state, pieces, numbers, plan, complete=False)
                 last = int(np.max(state.step))
-                raise RunError(f"stopped between steps {last} and {last + chunk.steps}: {broken}", partial)
+                whose = _whose(after.status, numbers[:3])
+                raise RunError(f"stopped between steps {last} and {last + chunk.steps}: {whose}{broken}", partial)
             frames = jax.device_get(frames)
             # One statement, which Ctrl-C cannot split.
             state, done, pieces = after, done + chunk.frames, [*pieces, frames]
@@ -102,6 +105,29 @@ def chunk_frames(plan: Plan, beads: int) -> int:
 def next_chunk(size: int, left: int) -> int:
     """``size`` frames, or all that is left where that would leave a single one."""
     return left if left <= size + 1 else size
+
+
+def _whose(status, numbers) -> str:
+    """The members of a batch that failed, each with those of its numbers that differ from member to member."""
+    status, named = np.asarray(status), {}
+    if not status.ndim:
+        return ""
+
+    def note(path, axis, values):
+        if axis is not None and np.ptp(np.asarray(values), axis=0).any():
+            named[_name(path)] = np.asarray(values)
+
+    trees = [dict(zip(("fluid", "dt", "flow"), parts)) for parts in (batch_axes(*numbers), numbers)]
+    jax.tree_util.tree_map_with_path(note, *trees, is_leaf=lambda axis: axis is None)
+    own = lambda k: ", ".join(f"{name} = {np.array2string(values[k], precision=6)}" for name, values in named.items())
+    failed = [f"member {k}" + (f" ({own(k)})" if named else "") for k in np.flatnonzero(status)]
+    return f"{', '.join(failed)} of {len(status)}: "
+
+
+def _name(path) -> str:
+    """Of a number in a tree, the innermost name on the way to it."""
+    names = [getattr(key, "name", getattr(key, "key", None)) for key in path]
+    return [name for name in names if name is not None][-1]
 
 
 def _check_members(fluid, dt, flow, key):
