@@ -3,6 +3,7 @@
 ``import dpdjax as dpd`` is quick: every public name is imported when it is first used.
 """
 
+import difflib
 import importlib
 
 _HOMES = {
@@ -19,7 +20,7 @@ _HOMES = {
     "dpdjax.model.marbles": ["marble_fluid"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
-    "dpdjax.engine.flow": ["shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field", "drive"],
+    "dpdjax.engine.flow": ["Flow", "shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field", "drive"],
     "dpdjax.engine.advice": ["suggest_dt", "suggest_skin"],
     "dpdjax.engine.state": ["State", "grow"],
     "dpdjax.engine.start": ["initial_state"],
@@ -66,12 +67,20 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
+_ELSEWHERE = {
+    "rdf": "radial_distribution", "gr": "radial_distribution", "g_r": "radial_distribution", "sq": "structure_factor",
+    "msd": "mean_squared_displacement", "vacf": "velocity_autocorrelation", "temp": "temperature", "press": "static_pressure",
+    "pressure": "static_pressure", "viscosity": "shear_viscosity", "body": "body_force", "force": "body_force",
+    "nemd": "shear", "box": "Box", "simulation": "simulate", "dump": "write_gsd", "gsd": "write_gsd", "restart": "load_state",
+}
+"""What it is called in other programs, and here."""
 __version__ = "0.1.0"
 
 
 def __getattr__(name):
     if name not in _HOME_OF:
-        raise AttributeError(f"dpdjax has no {name!r}")
+        near = [_ELSEWHERE[name.lower()]] if name.lower() in _ELSEWHERE else difflib.get_close_matches(name, __all__)
+        raise AttributeError(f"dpdjax has no {name!r}" + (f"; near is dpd.{' or dpd.'.join(near)}" if near else ""))
     value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value

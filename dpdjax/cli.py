@@ -265,6 +265,8 @@ def _check_suspension(arguments):
     folder = os.path.dirname(arguments.out or "") or "."
     if not os.path.isdir(folder):
         raise ValueError(f"--out {arguments.out}: there is no folder {folder}")
+    if arguments.out and os.path.exists(arguments.out):
+        raise ValueError(f"--out {arguments.out} is there already; give another name, or remove it")
     for name in ("times", "kappa"):
         positive(getattr(arguments, name), name)
     not_negative(arguments.settle, "settle")

@@ -1,10 +1,13 @@
 """Batching: each member is worked on where it needs to be, and sees nothing of the others."""
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import dpdjax as dpd
 from dpdjax.engine import batching
 from dpdjax.engine.batching import all_at_once, each_member, one_by_one, where_needed
 
@@ -67,3 +70,39 @@ def test_each_member_is_vmap(cpu, monkeypatch):
     jax.tree.map(np.testing.assert_array_equal, jax.jit(each_member(function, axes))(*arguments), expected)
     everywhere = each_member(lambda x, y: x - y)(jnp.arange(3.0), jnp.ones(3))
     np.testing.assert_array_equal(everywhere, [-1.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def scanned(water, fresh, key):
+    """Six members of a scan as a run would leave them, no step run."""
+    fluid = water.set(gamma=jnp.array([2.0, 2.0, 2.0, 9.0, 9.0, 9.0]))
+    final = jax.tree.map(lambda x: jnp.stack([x] * 6), fresh)
+    return dpd.Trajectory(final, {"number": np.arange(12).reshape(6, 2)}, fluid, dpd.shear(jnp.arange(6.0)), 0.01)
+
+
+def test_members_are_chosen_by_number_slice_or_list(scanned):
+    for which in (slice(3, 6), [3, 4, 5], slice(-3, None)):
+        part = scanned[which]
+        assert part.is_batch and len(part.members()) == 3
+        assert np.array_equal(part.fluid.value("gamma"), [9, 9, 9]) and np.array_equal(part.flow.rate, [3, 4, 5])
+        assert np.array_equal(part.frames["number"], [[6, 7], [8, 9], [10, 11]])
+    assert not scanned[4].is_batch and scanned[-1].flow.rate == 5 and scanned[4].dt == 0.01
+    assert [m.flow.rate for m in scanned] == [m.flow.rate for m in scanned.members()]
+    for which in (6, -7, slice(6, None)):
+        with pytest.raises(IndexError):
+            scanned[which]
+    with pytest.raises(TypeError, match="no batch"):
+        scanned[0][0]
+
+
+def test_members_that_fail_are_named_with_their_numbers(scanned):
+    whose = sys.modules[dpd.run.__module__]._whose
+    numbers = scanned.fluid, scanned.dt, scanned.flow
+    told = whose(np.uint32([0, 4, 0, 0, 4, 0]), numbers)
+    assert told == "member 1 (rate = 1., gamma = 2.), member 4 (rate = 4., gamma = 9.) of 6: "
+    assert whose(np.uint32(4), (scanned[0].fluid, 0.01, scanned[0].flow)) == ""
+
+
+def test_a_grid_of_keys_is_told_what_to_give(water, fresh, key):
+    with pytest.raises(ValueError, match=r"shape \(3, 3\); give a vector of them, keys.reshape\(-1\)"):
+        dpd.run(water, fresh, jax.random.split(key, (3, 3)), 0.01, dpd.Plan(1))

@@ -128,6 +128,7 @@ def test_plot_writes_a_picture(known, capsys, command, tmp_path):
         (["calibrate", "--viscosity", 0.8], "viscosity 0.8 cannot be reached with gamma: the smallest measured is 0.9"),
         (["viscosity", "--plot", "nowhere/at/all.png"], "there is no folder nowhere/at"),
         (["suspension", "--phi", 0.1, "--out", "nowhere/at/all.gsd"], "there is no folder nowhere/at"),
+        (["suspension", "--phi", 0.1, "--out", __file__], "is there already; give another name"),
         (["suspension", "--phi", -0.1], "phi is -0.1; it must be above zero"),
         (["suspension", "--phi", 0.1, "--times", 0], "times is 0.0; it must be above zero"),
         (["suspension", "--phi", 0.1, "--kappa", 0], "kappa is 0.0; it must be above zero"),

@@ -9,7 +9,6 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.advice import pair_frequency
-from dpdjax.engine.simulate import check_period
 
 
 def repulsion(**coefficients):
@@ -138,8 +137,121 @@ def test_body_force_that_jumps_at_the_faces(water, fresh, key):
     side = float(fresh.box.lengths[1])
     with refused(ValueError, "body force is not periodic along y"):
         dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.sinusoidal_force(0.1, 0.9 * side))
-    check_period(dpd.sinusoidal_force(0.1, side, waves=2), fresh)
-    check_period(dpd.body_force(dpd.constant_field, acceleration=[1.0, 0.0, 0.0]), fresh)
+    with refused(ValueError, "body force is not periodic along y", "0.5 waves", "waves="):
+        dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.sinusoidal_force(0.1, 2 * side))
+    dpd.sinusoidal_force(0.1, side, waves=2).check(water, fresh)
+    dpd.body_force(dpd.constant_field, acceleration=[1.0, 0.0, 0.0]).check(water, fresh)
+
+
+def along_x(profile):
+    """A body force along x from a profile of (position, time)."""
+    return lambda position, time, **numbers: profile(position, time)[:, None] * jnp.array([[1.0, 0.0, 0.0]])
+
+
+def test_body_forces_are_judged_inside_the_box(water, fresh):
+    side = float(fresh.box.lengths[1])
+    check = lambda profile, state=fresh, **how: dpd.body_force(along_x(profile), **how).check(water, state)
+    for axis in range(3):
+        check(lambda x, t: x[:, axis] * (side - x[:, axis]))
+        with refused(ValueError, f"not periodic along {'xyz'[axis]}", "jumps=True"):
+            check(lambda x, t: x[:, axis])
+    reverse = lambda x, t: jnp.where(x[:, 1] < side / 2, 1.0, -1.0)
+    check(reverse, jumps=True)
+    with refused(ValueError, "not periodic along y", "jumps=True"):
+        check(reverse)
+    with refused(ValueError, "not periodic along y"):
+        check(lambda x, t: jnp.sin(t) * x[:, 1])
+    tilted = dataclasses.replace(fresh, box=dataclasses.replace(fresh.box, strain=jnp.asarray(0.3)))
+    k = 2 * jnp.pi / side
+    check(lambda x, t: jnp.sin(k * (x[:, 0] - 0.3 * x[:, 1])), tilted)
+    with refused(ValueError, "not periodic along y"):
+        check(lambda x, t: jnp.sin(k * x[:, 0]), tilted)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Own(dpd.Flow):
+    """A flow as a user writes one."""
+
+    rate: object
+    push: object = None
+
+    def force(self, state, mass):
+        return self.push
+
+
+def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
+    still = dpd.initial_state(water, key, box=5.0, density=1.0, sheared=False)
+    for flow in (Own(0.3), dpd.shear(0.3), dpd.oscillatory_shear(0.1, 1.0)):
+        with refused(ValueError, "sheared=False"):
+            dpd.simulate(water, still, key, 0.01, PLAN, flow)
+        assert flow.deforms and flow.is_steady == (not hasattr(flow, "frequency"))
+    assert not any(flow.deforms for flow in (dpd.drive(1.0), dpd.sinusoidal_force(1.0, 5.0)))
+    tilted = dataclasses.replace(still, box=dataclasses.replace(still.box, strain=jnp.asarray(0.3)))
+    with refused(ValueError, "sheared=False"):
+        dpd.simulate(water, tilted, key, 0.01, PLAN)
+    x = fresh.position
+    wrong = [
+        (Own(jnp.ones(3)), ValueError, "the rate of Own has shape (3,)", "batch_axes()"),
+        (Own(0.0, x[:, 0]), ValueError, "the force of Own has shape", "is wanted"),
+        (Own(0.0, x.at[3].set(jnp.nan)), ValueError, "the force of Own is not finite"),
+        (Own(0.0, 1j * x), TypeError, "Own"),
+        (object.__new__(dpd.Flow), TypeError, "Flow has no rate"),
+    ]
+    for flow, kind, *parts in wrong[:3] + wrong[4:]:
+        with refused(kind, *parts):
+            flow.check(water, fresh)
+    with refused(TypeError, "derived from dpd.Flow"):
+        dpd.simulate(water, fresh, key, 0.01, PLAN, object())
+
+
+def test_states_and_fluids_that_are_something_else(water, fresh, key):
+    made = dpd.Trajectory(fresh, {}, water, None, 0.01)
+    for door in (dpd.run, dpd.simulate):
+        for fluid, state, parts in (
+            (water, made, ("state is a Trajectory", "give its .final")),
+            (made, fresh, ("fluid is a Trajectory", "give its .fluid")),
+            (fresh, water, ("fluid is a State", "wrong way round")),
+        ):
+            with refused(TypeError, *parts):
+                door(fluid, state, key, 0.01, PLAN)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity"])
+def test_numbers_at_the_start_that_are_not_finite(name, water, fresh, key):
+    bad = dataclasses.replace(fresh, **{name: getattr(fresh, name).at[5, 1].set(jnp.nan)})
+    with refused(ValueError, f"the {name} of bead 5 is", "at the start"):
+        dpd.run(water, bad, key, 0.01, PLAN)
+    with refused(ValueError, f"the {name} of bead 5 of member 1 is"):
+        both = jax.tree.map(lambda a, b: jnp.stack([a, b]), fresh, bad)
+        dpd.run(water, both, jax.random.split(key, 2), 0.01, PLAN)
+
+
+def test_names_that_are_recorded_twice(water, fresh, key):
+    def temperature(fluid, state):
+        return jnp.zeros(())
+
+    def clock(fluid, state):
+        return {"time": 0.0}
+
+    record = lambda *observe: jax.eval_shape(lambda s: dpd.simulate(water, s, key, 0.01, PLAN, observe=observe), fresh)
+    with refused(ValueError, "'temperature' is recorded by standard and by temperature"):
+        record(dpd.standard, temperature)
+    with refused(ValueError, "'momentum' is recorded by momentum and by mean(momentum)"):
+        record(dpd.momentum, dpd.mean(dpd.momentum))
+    with refused(ValueError, "'time' is recorded by every frame and by clock"):
+        record(clock)
+    with refused(ValueError, "'wave_velocity' is recorded by"):
+        record(dpd.sine_record(1), dpd.sine_record(2))
+    record(dpd.standard, dpd.standard, dpd.temperature)
+    record(dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses), dpd.mean(dpd.standard))
+
+
+def test_names_that_are_not_there():
+    names = {"rdf": "dpd.radial_distribution", "msd": "dpd.mean_squared_displacement", "shear_visc": "dpd.shear_viscosity"}
+    for name, near in names.items():
+        with pytest.raises(AttributeError, match=near):
+            getattr(dpd, name)
 
 
 def test_batches_given_to_one_state(water, key):

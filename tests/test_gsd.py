@@ -2,6 +2,8 @@
 
 import dataclasses
 import importlib.util
+import signal
+import subprocess
 import sys
 
 import gsd.hoomd
@@ -225,6 +227,7 @@ def test_interrupt_leaves_the_whole_pieces(third, kept, to_file, monkeypatch, tm
     ended = to_file(tmp_path / "cut.gsd", piece=2)
     assert not ended.complete and len(count) == third, "and no piece after"
     assert len(ended.frames.get("time", [])) == kept and ended.final.step == 40 * kept
+    assert f"interrupted after {kept} of {PLAN.frames} frames" in capsys.readouterr().err
     for one, other in zip(frames_of(tmp_path / "cut.gsd"), frames_of(written[0])[:kept], strict=True):
         assert np.array_equal(one.particles.position, other.particles.position)
 
@@ -235,7 +238,7 @@ def test_a_run_interrupted_at_once_leaves_an_old_file(to_file, monkeypatch, tmp_
 
     monkeypatch.setattr(host, "replayed", interrupted)
     (tmp_path / "old.gsd").write_bytes(b"precious")
-    assert not to_file(tmp_path / "old.gsd").complete
+    assert not to_file(tmp_path / "old.gsd", overwrite=True).complete
     assert (tmp_path / "old.gsd").read_bytes() == b"precious"
 
 
@@ -252,6 +255,53 @@ def test_a_failed_run_keeps_the_pieces_before(to_file, monkeypatch, tmp_path):
     with pytest.raises(dpd.RunError):
         to_file(tmp_path / "cut.gsd", piece=2)
     assert len(frames_of(tmp_path / "cut.gsd")) == 4
+
+
+KILLED = """
+import os, signal, jax, dpdjax as dpd
+from dpdjax.host import gsd as host
+water = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
+key, genuine, ran = jax.random.key(0), host.run, []
+state = dpd.initial_state(water, key, box=3.5, density=3.0)
+def killed(*given, **how):
+    if len(ran) == 2:
+        os.kill(os.getpid(), signal.{name})
+    ran.append(None)
+    return genuine(*given, **how)
+host.run = killed
+dpd.run_to_gsd({path!r}, water, state, key, 0.01, dpd.Plan(20, 2), piece=4, progress=False)
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGKILL"])
+def test_a_killed_run_keeps_the_whole_pieces(name, tmp_path):
+    path = str(tmp_path / "killed.gsd")
+    ended = subprocess.run([sys.executable, "-c", KILLED.format(name=name, path=path)], timeout=300)
+    assert ended.returncode == -getattr(signal, name)
+    assert [frame.configuration.step for frame in frames_of(path)] == list(range(2, 17, 2))
+
+
+def test_a_file_that_is_there_is_never_overwritten_unasked(to_file, run, fluid, state, key, written, tmp_path):
+    path = tmp_path / "kept.gsd"
+    path.write_bytes(written[0].read_bytes())
+    refused = pytest.raises(FileExistsError, match="kept.gsd is there already; give another name, or overwrite=True to replace it")
+    for go in (to_file, lambda path: dpd.write_gsd(path, run)):
+        with refused:
+            go(path)
+    with pytest.raises(FileExistsError, match='mode="w" to replace'), dpd.gsd_writer(path, fluid, state):
+        pass
+    with pytest.raises(ValueError, match="give one of them"):
+        to_file(path, overwrite=True, append=True)
+    with pytest.raises(ValueError, match="kept.gsd ends at step 320 and the state is at step 0: go on from the final state"):
+        to_file(path, append=True)
+    other = dataclasses.replace(run.final, size=1.1 * run.final.size)
+    with pytest.raises(ValueError, match="holds 108 beads .* give another file"):
+        dpd.run_to_gsd(path, fluid, other, key, DT, PLAN, FLOW, append=True)
+    assert path.read_bytes() == written[0].read_bytes()
+    dpd.run_to_gsd(path, fluid, run.final, key, DT, dpd.Plan(2, 40), FLOW, append=True, progress=False)
+    assert [frame.configuration.step for frame in frames_of(path)] == list(range(40, 401, 40))
+    dpd.write_gsd(path, run, overwrite=True)
+    assert len(frames_of(path)) == PLAN.frames
 
 
 def test_what_cannot_be_written(fluid, state, key, run, tmp_path):
@@ -285,3 +335,18 @@ def test_a_missing_package_is_named(fluid, state, monkeypatch, tmp_path):
     with pytest.raises(ImportError, match="pip install gsd"), dpd.gsd_writer(tmp_path / "none.gsd", fluid, state):
         pass
     assert importlib.util.find_spec("gsd") is not None
+
+
+def test_a_state_that_is_not_written_whole_leaves_the_old_one(state, tmp_path, monkeypatch):
+    path = tmp_path / "state.npz"
+    dpd.save_state(path, state)
+    before = path.read_bytes()
+
+    def cut(file, **arrays):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", cut)
+    with pytest.raises(KeyboardInterrupt):
+        dpd.save_state(path, state)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]

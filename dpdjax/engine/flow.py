@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
 
@@ -13,11 +14,35 @@ from dpdjax.checks import is_concrete, number, positive
 class Flow:
     """What every flow answers; by default there is none.
 
+    A flow of your own is a frozen dataclass derived from this one, registered with
+    ``jax.tree_util.register_dataclass``, its numbers leaves.
+
     Attributes:
-        rate: the shear rate; the largest where it changes [1/time].
+        rate: the shear rate; the largest where it changes [1/time]. A flow that never deforms the box has the
+            plain number 0.0, as a static field or an attribute of its class.
     """
 
     rate: Any
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the shear rate never changes."""
+        kind = type(self)
+        return kind.rate_at is Flow.rate_at and kind.strain_in is Flow.strain_in
+
+    @property
+    def deforms(self) -> bool:
+        """Whether it can tilt the box, by its kind and whatever its numbers: False only for a plain rate of 0."""
+        return not (self.is_steady and isinstance(self.rate, (int, float)) and self.rate == 0)
+
+    def check(self, fluid, state):
+        """Raise TypeError or ValueError, before a run of one state, for a flow that cannot work there.
+
+        A flow with demands of its own adds them, and calls this one by ``super()``.
+        """
+        check_answers(self, fluid, state)
+        if self.deforms:
+            check_tilt(state)
 
     def rate_at(self, time):
         """Shear rate at a time [1/time]."""
@@ -93,6 +118,12 @@ class BodyForce(Flow):
     numbers: dict[str, Any]
     balance: bool = dataclasses.field(default=True, metadata={"static": True})
     rate: float = dataclasses.field(default=0.0, metadata={"static": True})
+    jumps: bool = dataclasses.field(default=False, metadata={"static": True})
+
+    def check(self, fluid, state):
+        super().check(fluid, state)
+        if not self.jumps:
+            check_faces(self, state)
 
     def force(self, state, mass):
         """Force on each bead (n, 3), less its mean acceleration where balanced."""
@@ -105,6 +136,23 @@ class BodyForce(Flow):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
+class Wave(BodyForce):
+    """A sinusoidal body force along x; see :func:`sinusoidal_force`."""
+
+    def check(self, fluid, state):
+        side = state.box.lengths[1]
+        if is_concrete(self, side):
+            waves = np.asarray(self.numbers["wavenumber"]) * float(side) / (2 * np.pi)
+            if np.any(np.abs(waves - np.round(waves)) > 1e-3):
+                raise ValueError(
+                    f"the body force is not periodic along y: {np.array2string(waves, precision=4)} waves in a side of {float(side):.4g}; "
+                    f"use dpd.sinusoidal_force(amplitude, side={float(side):.6g}, waves=...)"
+                )
+        super().check(fluid, state)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
 class Drive(Flow):
     """A force and a torque on every bead of one species, the rest held back; see :func:`drive`."""
 
@@ -113,6 +161,12 @@ class Drive(Flow):
     species: int = dataclasses.field(metadata={"static": True})
     reaction: str = dataclasses.field(metadata={"static": True})
     rate: float = dataclasses.field(default=0.0, metadata={"static": True})
+
+    def check(self, fluid, state):
+        """Refuse a drive of beads that are not there, or a torque on what does not rotate."""
+        if is_concrete(self, state.species):
+            check_driven(self, state)
+        super().check(fluid, state)
 
     def force(self, state, mass):
         """Force on each bead (n, 3), without a net one."""
@@ -155,7 +209,7 @@ def oscillatory_shear(amplitude, frequency) -> Oscillation:
     return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
 
 
-def body_force(field: Callable, *, balance: bool = True, **numbers) -> BodyForce:
+def body_force(field: Callable, *, balance: bool = True, jumps: bool = False, **numbers) -> BodyForce:
     """A one-body force field, any small pure function.
 
     Args:
@@ -163,9 +217,11 @@ def body_force(field: Callable, *, balance: bool = True, **numbers) -> BodyForce
             [length] and a result that broadcasts to (n, 3) [force].
         balance: take the net force away each step, as one acceleration common to all
             beads. Without it a periodic box accelerates for ever.
+        jumps: the field is meant to jump at the faces of the box, as that of reverse Poiseuille flow does (one way in one
+            half, the other way in the other). Elsewhere a jump is a mistake and refused before a run.
         **numbers: the field's numbers (leaves).
     """
-    return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance)
+    return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance, jumps=jumps)
 
 
 def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> Drive:
@@ -212,9 +268,103 @@ def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
 
     Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``.
     """
-    return body_force(sine_field, amplitude=amplitude, wavenumber=2 * jnp.pi * waves / side)
+    numbers = {"amplitude": number(amplitude, "amplitude"), "wavenumber": 2 * jnp.pi * waves / positive(side, "side")}
+    return Wave(sine_field, numbers)
 
 
 def constant_field(position, time, *, acceleration):
     """The same force on every bead."""
     return jnp.broadcast_to(acceleration, position.shape)
+
+
+def check_tilt(state) -> None:
+    """Raise ValueError for lists that miss pairs of a tilted box."""
+    if not all(n.grid.sheared for n in state.neighbours):
+        raise ValueError("this state was made with sheared=False and its lists miss pairs of a tilted box: make it without")
+
+
+def check_answers(flow, fluid, state) -> None:
+    """Raise for a flow whose rate, strain, force or torque has the wrong shape or kind, or is not finite."""
+    kind, dtype = type(flow).__name__, state.position.dtype
+    if not hasattr(flow, "rate"):
+        raise TypeError(f"{kind} has no rate; give it one, rate = 0.0 where it does not shear")
+    flow = jax.tree.map(lambda x: jnp.asarray(x, dtype), member_of(flow))
+    turning = 0 if state.rotation is None else state.rotation.m
+    mass = jnp.ones((state.n, 1), dtype)
+    answers = {
+        "rate": (lambda: flow.rate_at(state.time), ()),
+        "strain": (lambda: flow.strain_in(state.time, jnp.ones((), dtype)), ()),
+        "force": (lambda: flow.force(state, mass), (state.n, 3)),
+        "torque": (lambda: flow.torque(state), (turning, 3)),
+    }
+    for name, (answer, shape) in answers.items():
+        _check_answer(f"{name} of {kind}", answer, shape, dtype, is_concrete(flow, state))
+
+
+def member_of(flow):
+    """The first flow of a batch, or the flow itself."""
+    pick = lambda axis, part: part if axis is None else jax.tree.map(lambda x: x[0], part)
+    return jax.tree.map(pick, flow.batch_axes(), flow, is_leaf=lambda axis: axis is None)
+
+
+def _check_answer(what: str, answer: Callable, shape, dtype, concrete: bool) -> None:
+    try:
+        value = answer() if concrete else jax.eval_shape(answer)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise type(error)(f"the {what} fails on one state, with the numbers of one member: {error}") from error
+    if value is None:
+        return
+    if jnp.shape(value) != shape:
+        raise ValueError(
+            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch need batch_axes() to say so"
+        )
+    if jnp.result_type(value, dtype) != dtype:
+        raise TypeError(f"the {what} has dtype {jnp.result_type(value)}, the state {dtype}; return it as state.position.dtype")
+    if concrete and not np.all(np.isfinite(np.asarray(value))):
+        raise ValueError(f"the {what} is not finite at the start; look at its numbers")
+
+
+def check_driven(flow, state) -> None:
+    """Raise ValueError for a drive of beads that are not there, or a torque on what does not rotate."""
+    there = np.asarray(state.species)
+    if flow.species not in there:
+        raise ValueError(f"no bead is of the driven species {flow.species}; name another: dpd.drive(..., species=...)")
+    if flow.reaction == "others" and np.all(there == flow.species):
+        raise ValueError('all beads are driven, and reaction="others" has none to act on; use reaction="all"')
+    turning = () if state.rotation is None else there[state.rotation.slots]
+    if np.any(np.asarray(flow.twist)) and flow.species not in turning:
+        raise ValueError(f"beads of species {flow.species} do not rotate, and a torque is given: give them an inertia")
+
+
+def check_faces(flow, state) -> None:
+    """Refuse a body force whose limits at two opposite faces, both from within the box, differ."""
+    if not is_concrete(flow, state.position, state.box, state.time):
+        return
+    sides, strain = np.asarray(state.box.lengths, float), float(state.box.strain)
+    here = np.random.default_rng(0).uniform(size=(64, 3)) * sides
+    # A field may be zero at this moment, or overflow at later ones.
+    for time in float(state.time) + np.array([0.0, 0.3, 1.7]):
+        of = lambda position: np.asarray(
+            jnp.broadcast_to(
+                flow.field(jnp.asarray(position, state.position.dtype), jnp.asarray(time, state.time.dtype), **flow.numbers),
+                position.shape,
+            )
+        )
+        scale = np.max(np.abs(of(here)))
+        for axis in range(3) if np.isfinite(scale) else ():
+            low, high = _facing(here, axis, sides, strain)
+            if not np.allclose(of(low), of(high), rtol=0, atol=2e-3 * scale):
+                raise ValueError(
+                    f"the body force is not periodic along {'xyz'[axis]}: it jumps at the face of a box of sides "
+                    f"{sides.tolist()}; give it a whole number of periods in that side, or dpd.body_force(..., jumps=True) "
+                    "where it is meant to jump"
+                )
+
+
+def _facing(here, axis: int, sides, strain: float):
+    """Points just inside a face, and their images just inside the opposite one."""
+    low, high, edge = here.copy(), here.copy(), 1e-6 * sides[axis]
+    low[:, axis], high[:, axis] = edge, sides[axis] - edge
+    if axis == 1:
+        high[:, 0] = np.mod(high[:, 0] + strain * sides[1], sides[0])
+    return low, high

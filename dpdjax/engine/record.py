@@ -69,6 +69,32 @@ def integral(observe: Callable) -> Recorder:
     return Recorder(observe, "integral")
 
 
+def check_names(how: list[Recorder], fluid, state) -> None:
+    """Raise ValueError where two observables record different things under one name, or one takes ``time`` or ``step``."""
+    taken = {}
+    for one in how:
+        for name in jax.eval_shape(one.now, fluid, state):
+            if name in ("time", "step"):
+                raise ValueError(f"{name!r} is recorded by every frame and by {_told(one)}: return it under another name")
+            other = taken.setdefault(name, one)
+            if other != one and not _same(name, one, other, fluid, state):
+                raise ValueError(
+                    f"{name!r} is recorded by {_told(other)} and by {_told(one)}: return one of them under another name"
+                )
+
+
+def _same(name: str, one: Recorder, other: Recorder, fluid, state) -> bool:
+    """Whether two recorders compute one name by the same program, as several of this package do."""
+    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)), (fluid, state))
+    program = lambda recorder: jax.jit(lambda fluid, state: recorder.now(fluid, state)[name]).lower(*shapes).as_text()
+    return one.how == other.how and program(one) == program(other)
+
+
+def _told(recorder: Recorder) -> str:
+    name = getattr(recorder.observe, "__name__", repr(recorder.observe))
+    return name if recorder.how == "last" else f"{recorder.how}({name})"
+
+
 def recorders(observe) -> list[Recorder]:
     """One observable, recorder or a sequence of either, as a list of recorders."""
     if observe is None:

@@ -12,7 +12,7 @@ from dpdjax.engine import advice, motion, order, soundness
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import batch_axes
-from dpdjax.engine.record import Recorder, averaged, recorders
+from dpdjax.engine.record import Recorder, averaged, check_names, recorders
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
 from dpdjax.model.fluid import Fluid
@@ -76,20 +76,23 @@ class Trajectory:
     def is_batch(self) -> bool:
         return jnp.ndim(self.final.position) == 3
 
-    def members(self) -> list["Trajectory"]:
-        """The trajectories of a batch one by one, each with its own numbers."""
+    def __getitem__(self, which) -> "Trajectory":
+        """Members of a batch with their own numbers: one by its number, or a batch by a slice or a list of numbers."""
         if not self.is_batch:
-            return [self]
+            raise TypeError("this trajectory is no batch and has no members to choose from; its frames are in .frames")
+        members = self.final.position.shape[0]
+        chosen = np.arange(members)[which]
+        if np.ndim(chosen) > 1 or not np.size(chosen):
+            raise IndexError(f"{which!r} chooses no members of the {members} of this batch; give a number, a slice or a list")
         numbers = self.fluid, self.dt, self.flow
-        axes = batch_axes(*numbers)
+        take = lambda tree: jax.tree.map(lambda leaf: leaf[chosen], tree)
+        own = lambda axis, part: part if axis is None else take(part)
+        fluid, dt, flow = jax.tree.map(own, batch_axes(*numbers), numbers, is_leaf=lambda axis: axis is None)
+        return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
 
-        def pick(k):
-            take = lambda tree: jax.tree.map(lambda leaf: leaf[k], tree)
-            own = lambda axis, leaf: leaf if axis is None else leaf[k]
-            fluid, dt, flow = jax.tree.map(own, axes, numbers, is_leaf=lambda axis: axis is None)
-            return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
-
-        return [pick(k) for k in range(self.final.position.shape[0])]
+    def members(self) -> list["Trajectory"]:
+        """The trajectories of a batch one by one, each with its own numbers; of one run, that alone."""
+        return [self[k] for k in range(self.final.position.shape[0])] if self.is_batch else [self]
 
 
 def simulate(
@@ -138,6 +141,7 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
     dtype = state.position.dtype
     fluid, flow, dt, lam = jax.tree.map(lambda x: jnp.asarray(x, dtype), (fluid, flow, dt, lam))
     how = recorders(observe)
+    check_names(how, fluid, state)
     # Interval records need the pair sums of every step; instantaneous ones of the last step only.
     each = any(r.accumulates for r in how)
 
@@ -209,13 +213,10 @@ def list_trouble(fluid, state):
 
 def check_run(fluid, state, key, dt, flow):
     """Errors that can be told before the work starts, each with the value and the cure."""
-    if not isinstance(fluid, Fluid):
-        raise TypeError(f"fluid is a {type(fluid).__name__}; build one with dpd.fluid(...)")
-    if not isinstance(state, State):
-        raise TypeError(f"state is a {type(state).__name__}; build one with dpd.initial_state(...)")
-    if flow is not None and not hasattr(flow, "force"):
+    check_kinds(fluid, state)
+    if flow is not None and not isinstance(flow, flows.Flow):
         flows_there_are = "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
-        raise TypeError(f"flow is {flow!r}; give {flows_there_are} or None")
+        raise TypeError(f"flow is {flow!r}; give {flows_there_are}, a class derived from dpd.Flow, or None")
     prng_key(key)
     positive(dt, "dt")
     shape = jnp.shape(state.position)
@@ -227,8 +228,6 @@ def check_run(fluid, state, key, dt, flow):
     lists, wanted = len(state.neighbours), len(fluid.interactions)
     if lists != wanted:
         raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
-    if isinstance(flow, flows.Shear | flows.Oscillation) and not all(n.grid.sheared for n in state.neighbours):
-        raise ValueError("this state was made with sheared=False and its lists miss pairs of a tilted box: make it without")
     highest = int(np.max(np.asarray(state.species), initial=0)) if is_concrete(state.species) else 0
     if highest >= fluid.species:
         raise ValueError(f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}")
@@ -238,10 +237,38 @@ def check_run(fluid, state, key, dt, flow):
             "make the state with this fluid"
         )
     check_rotation(fluid, state)
+    check_finite(state)
     soundness.check_laws(fluid, state)
-    check_drive(flow, state)
     check_dt(fluid, state, dt)
-    check_period(flow, state)
+    if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
+        flows.check_tilt(state)
+    if flow is not None:
+        flow.check(fluid, state)
+
+
+def check_kinds(fluid, state):
+    """Raise TypeError, with what to give, for anything but a fluid and a state."""
+    if isinstance(fluid, State) and isinstance(state, Fluid):
+        raise TypeError("fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) comes first")
+    if not isinstance(fluid, Fluid):
+        cure = "give its .fluid" if hasattr(fluid, "fluid") else "build one with dpd.fluid(...)"
+        raise TypeError(f"fluid is a {type(fluid).__name__}; {cure}")
+    if not isinstance(state, State):
+        part = next((name for name in ("final", "state") if hasattr(state, name)), None)
+        cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
+        raise TypeError(f"state is a {type(state).__name__}; {cure}")
+
+
+def check_finite(state):
+    """Refuse positions or velocities that are not finite, of one state or a batch, and name the first such bead."""
+    for name in ("position", "velocity"):
+        values = getattr(state, name)
+        if not is_concrete(values) or bool(jnp.all(jnp.isfinite(values))):
+            continue
+        where = np.argwhere(~np.all(np.isfinite(np.asarray(values)), axis=-1))[0]
+        member = f" of member {where[0]}" if len(where) == 2 else ""
+        value = np.asarray(values)[tuple(where)].tolist()
+        raise ValueError(f"the {name} of bead {where[-1]}{member} is {value} at the start; give a state of finite numbers")
 
 
 def check_rotation(fluid, state):
@@ -255,36 +282,6 @@ def check_rotation(fluid, state):
         turning = np.isin(np.asarray(state.species), fluid.rotating)
         if not np.all(turning[state.rotation.slots]) or turning.sum() != state.rotation.m:
             raise ValueError("the beads of the state that rotate are of other species: make the state with this fluid")
-
-
-def check_drive(flow, state):
-    """Refuse a drive of beads that are not there, or a torque on what does not rotate."""
-    if not isinstance(flow, flows.Drive) or not is_concrete(flow, state.species):
-        return
-    there = np.asarray(state.species)
-    if flow.species not in there:
-        raise ValueError(f"no bead is of the driven species {flow.species}; name another: dpd.drive(..., species=...)")
-    if flow.reaction == "others" and np.all(there == flow.species):
-        raise ValueError('all beads are driven, and reaction="others" has none to act on; use reaction="all"')
-    turning = () if state.rotation is None else there[state.rotation.slots]
-    if np.any(np.asarray(flow.twist)) and flow.species not in turning:
-        raise ValueError(f"beads of species {flow.species} do not rotate, and a torque is given: give them an inertia")
-
-
-def check_period(flow, state):
-    """Refuse a body force that jumps at the faces of the box: a wrong side given to a wave."""
-    if not isinstance(flow, flows.BodyForce) or not is_concrete(flow, state.position, state.box, state.time):
-        return
-    sides = np.asarray(state.box.lengths)
-    here = np.random.default_rng(0).uniform(size=(16, 3)) * sides
-    field = lambda position: np.asarray(flow.field(jnp.asarray(position, state.position.dtype), state.time, **flow.numbers))
-    inside = field(here)
-    for axis, side in zip("xyz", np.diag(sides)):
-        if not np.allclose(field(here + side), inside, rtol=0, atol=1e-3 * np.max(np.abs(inside))):
-            raise ValueError(
-                f"the body force is not periodic along {axis} in a box of sides {sides.tolist()}: it would jump "
-                "at the face; give it a whole number of waves in that side"
-            )
 
 
 def check_plan(plan):

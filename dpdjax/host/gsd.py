@@ -8,8 +8,9 @@ from tqdm import tqdm
 
 from dpdjax.checks import prng_key
 from dpdjax.engine.observables import rotations, standard
-from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run
+from dpdjax.engine.simulate import Plan, Trajectory, check_kinds, check_plan, check_run
 from dpdjax.engine.state import inertias, masses, radii
+from dpdjax.host.io import refuse_existing
 from dpdjax.host.run import next_chunk, run
 
 DRAWN_RADIUS = 0.5
@@ -34,8 +35,10 @@ def gsd_record(fluid, state) -> dict:
 
 
 @contextlib.contextmanager
-def gsd_writer(path, fluid, state, mode: str = "w"):
+def gsd_writer(path, fluid, state, mode: str = "x"):
     """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that recorded :func:`gsd_record`.
+
+    What was written is in the file when ``write`` returns: a process killed later loses nothing of it.
 
     Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids. Diameters, masses and the
     box with its tilt are written too; positions are centred, and velocities those of the lab where the flow is given.
@@ -45,25 +48,74 @@ def gsd_writer(path, fluid, state, mode: str = "w"):
     Args:
         path: file name.
         fluid, state: what runs, and the state it starts from.
-        mode: ``"w"`` for a new file, ``"r+"`` to go on with one.
+        mode: ``"x"`` for a new file, ``"w"`` to replace one, ``"r+"`` to go on with one.
 
-    Raises ImportError where the package ``gsd`` is missing.
+    Raises ImportError where the package ``gsd`` is missing, FileExistsError by ``"x"`` for a file that is there, ValueError by
+    ``"r+"`` for one of other beads or another box.
     """
+    hoomd = _hoomd()
+    if mode == "x":
+        refuse_existing(path, "mode=\"w\" to replace it, mode=\"r+\" to go on with it")
+    if mode == "r+":
+        _check_fits(path, fluid, state)
+    template = _beads(fluid, state)
+    with hoomd.open(str(path), mode) as file:
+
+        def write(frames, flow=None):
+            file.extend(_frame(hoomd.Frame(), template, state, frames, k, flow) for k in range(len(frames["step"])))
+            file.flush()
+
+        yield write
+
+
+def _hoomd():
     try:
         import gsd.hoomd
     except ImportError as error:
         raise ImportError("GSD files need the package gsd: pip install gsd") from error
-    template = _beads(fluid, state)
-    with gsd.hoomd.open(str(path), mode) as file:
-        yield lambda frames, flow=None: file.extend(
-            _frame(gsd.hoomd.Frame(), template, state, frames, k, flow) for k in range(len(frames["step"]))
+    return gsd.hoomd
+
+
+def _mode(path, overwrite: bool, append: bool) -> str:
+    """How to open a file, by what the caller wants done with one that is there."""
+    if overwrite and append:
+        raise ValueError("overwrite=True and append=True: give one of them")
+    if not overwrite and not append:
+        refuse_existing(path, "overwrite=True to replace it, append=True to go on with it")
+    return "r+" if append and os.path.exists(path) else "w"
+
+
+def _check_fits(path, fluid, state) -> int:
+    """The last step in a file; raises ValueError unless that is of these beads in this box."""
+    with _hoomd().open(str(path), "r") as file:
+        last = file[-1] if len(file) else None
+    if last is None:
+        return 0
+    beads, sides = _beads(fluid, state), np.asarray(state.box.lengths)
+    same = all(np.array_equal(getattr(last.particles, name), beads[name]) for name in ("N", "types", "typeid", "mass", "diameter"))
+    if not same or not np.allclose(last.configuration.box[:3], sides, rtol=1e-6, atol=0):
+        raise ValueError(
+            f"{path} holds {last.particles.N} beads in a box of {last.configuration.box[:3].tolist()}, other than "
+            f"the {state.n} in {sides.tolist()} of this state; give another file"
+        )
+    return last.configuration.step
+
+
+def _check_follows(path, fluid, state) -> None:
+    """Raise ValueError for a file that a run from this state does not go on with."""
+    last = _check_fits(path, fluid, state)
+    if last > int(state.step):
+        raise ValueError(
+            f"{path} ends at step {last} and the state is at step {int(state.step)}: "
+            "go on from the final state of that run, or give another file"
         )
 
 
-def write_gsd(path, trajectory) -> None:
+def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
     """Writes the frames of one run, recorded with ``observe=dpd.gsd_record``, to a new GSD file.
 
-    Raises ValueError for a batch or a run that recorded something else.
+    Raises ValueError for a batch or a run that recorded something else, FileExistsError for a file that is there, which
+    ``overwrite=True`` replaces.
     """
     if trajectory.is_batch:
         raise ValueError("a GSD file holds one run; write the members of a batch one by one, trajectory.members()")
@@ -71,35 +123,47 @@ def write_gsd(path, trajectory) -> None:
     missing = set(wanted) - set(trajectory.frames)
     if missing:
         raise ValueError(f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.gsd_record")
-    with gsd_writer(path, trajectory.fluid, trajectory.final) as write:
+    if not overwrite:
+        refuse_existing(path, "overwrite=True to replace it")
+    with gsd_writer(path, trajectory.fluid, trajectory.final, "w") as write:
         write(trajectory.frames, trajectory.flow)
 
 
-def run_to_gsd(path, fluid, state, key, dt, plan: Plan, flow=None, *, piece: int = 10, progress: bool = True) -> Trajectory:
+def run_to_gsd(
+    path, fluid, state, key, dt, plan: Plan, flow=None, *,
+    piece: int = 10, overwrite: bool = False, append: bool = False, progress: bool = True,
+) -> Trajectory:
     """:func:`dpdjax.run` with its frames written to a GSD file as they come, ``piece`` at a time.
 
     Returns the trajectory with the standard record, and how beads that rotate are turned; positions are in the file alone,
-    so that long runs fit in memory. Ctrl-C ends it early, with all whole pieces in the file.
+    so that long runs fit in memory. Ctrl-C ends it early, with all whole pieces in the file; a process that is killed leaves
+    them too. A file that is there is refused, or replaced by ``overwrite=True``, or gone on with by ``append=True``.
 
-    Raises ValueError for a batch, and as :func:`dpdjax.run` does; a file of that name is then left as it was.
+    Raises FileExistsError for a file that is there, ValueError for a batch or a file to append to that does not fit, and as
+    :func:`dpdjax.run` does; a file of that name is then left as it was.
     """
+    check_kinds(fluid, state)
     if prng_key(key).ndim or state.position.ndim == 3 or fluid.is_batch or np.ndim(dt):
         raise ValueError("a GSD file holds one run; run the batch with observe=dpd.gsd_record and write its members by write_gsd")
     check_plan(plan)
     check_run(fluid, state, key, dt, flow)
+    mode = _mode(path, overwrite, append)
+    if mode == "r+":
+        _check_follows(path, fluid, state)
     # Pieces of one length are one program, and of one frame another: its loop is compiled to other rounding.
     piece = max(2, piece)
     even = [size for size in range(2, 2 * piece) if plan.frames % size == 0]
     piece = min(even, key=lambda size: abs(size - piece), default=piece)
-    pieces, done = [], 0
+    pieces, done, start = [], 0, state
     with contextlib.ExitStack() as stack:
         bar, write = stack.enter_context(tqdm(total=plan.frames, unit="frame", disable=not progress)), None
         while done < plan.frames:
             part = Plan(next_chunk(piece, plan.frames - done), plan.every)
-            ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False)
+            around = done, plan.frames - done - part.frames
+            ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False, around=around)
             # Opened when there is something to write: a run that is refused, or ends at once, leaves an old file as it was.
             if write is None and (ran.frames or not os.path.exists(path)):
-                write = stack.enter_context(gsd_writer(path, fluid, state))
+                write = stack.enter_context(gsd_writer(path, fluid, start, mode))
             if ran.frames:
                 write(ran.frames, flow)
             pieces.append({name: v for name, v in ran.frames.items() if name not in RECORDED})

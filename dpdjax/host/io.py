@@ -1,7 +1,9 @@
 """States on disk: one ``.npz`` file that any numpy reads."""
 
+import contextlib
 import dataclasses
 import json
+import os
 import zipfile
 
 import jax
@@ -19,10 +21,31 @@ ARRAYS = ("position", "velocity", "force", "image", "id", "species", "size", "st
 ARRAYS += ("position_rest", "strain_rest", "time_rest")
 
 
+def refuse_existing(path, cure: str) -> None:
+    """Raise FileExistsError, with the cure, for a file that is there."""
+    if os.path.exists(path):
+        raise FileExistsError(f"{path} is there already; give another name, or {cure}")
+
+
+@contextlib.contextmanager
+def replacing(path):
+    """A binary file that takes its name when it is whole: until then, and after an error, an old one stays as it was."""
+    unfinished = f"{os.fspath(path)}.part"
+    try:
+        with open(unfinished, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            os.remove(unfinished)
+
+
 def save_state(path, state: State) -> None:
     """Write a state; ``load_state`` gives back the same bits, lists and all.
 
-    A run goes on from it exactly, given the key it was started with.
+    A run goes on from it exactly, given the key it was started with. A file of that name is replaced when the new one is whole.
     """
     arrays = {name: np.asarray(getattr(state, name)) for name in ARRAYS}
     arrays |= {"box_lengths": np.asarray(state.box.lengths), "box_strain": np.asarray(state.box.strain)}
@@ -38,7 +61,7 @@ def save_state(path, state: State) -> None:
     if state.rotation is not None:
         arrays |= {f"rotation_{name}": np.asarray(getattr(state.rotation, name)) for name in TURNING}
     grids = [dataclasses.asdict(n.grid) for n in state.neighbours]
-    with open(path, "wb") as file:
+    with replacing(path) as file:
         meta = {"format": FORMAT, "grids": grids, "origins": list(state.tally.virial)}
         meta |= {"turning_from": None if state.rotation is None else state.rotation.begin}
         np.savez_compressed(file, meta=json.dumps(meta), **arrays)

@@ -15,7 +15,7 @@ from dpdjax.engine.advice import cautions
 from dpdjax.engine.batching import batch_axes
 from dpdjax.engine.chunk import batched, complete_lists, replayed
 from dpdjax.engine.record import averaged, recorders
-from dpdjax.engine.simulate import Plan, Trajectory, check_plan, check_run, list_trouble
+from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 from dpdjax.host.heat import warn_if_hot
 
@@ -32,7 +32,7 @@ class RunError(RuntimeError):
 
 
 def run(
-    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True
+    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True, around=(0, 0)
 ) -> Trajectory:
     """Run with everything a person at a keyboard expects; see ``simulate`` for the arguments.
 
@@ -45,16 +45,22 @@ def run(
     every number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan.
     An accelerator runs the members side by side, a CPU one after another: its caches hold one.
 
+    ``around`` is for a run in pieces: the frames before this piece and those after it, which the message of Ctrl-C counts too.
+
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
         RunError: positions that became NaN; its ``trajectory`` holds the frames before.
     """
     key = prng_key(key)
+    if key.ndim > 1:
+        raise ValueError(f"keys have shape {key.shape}; give a vector of them, keys.reshape(-1), and numbers alike, one for each")
+    check_kinds(fluid, state)
     flow = flows.quiet() if flow is None else flow
     state = batched(state, key)
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
     check_plan(plan)
     check_run(fluid, one, key, dt, flow)
+    check_finite(state)
     for caution in cautions(fluid, state, dt, plan):
         warnings.warn(caution, stacklevel=2)
     _check_members(fluid, dt, flow, key)
@@ -74,13 +80,14 @@ def run(
             if broken:
                 partial = _trajectory(state, pieces, numbers, plan, complete=False)
                 last = int(np.max(state.step))
-                raise RunError(f"stopped between steps {last} and {last + chunk.steps}: {broken}", partial)
+                whose = _whose(after.status, numbers[:3])
+                raise RunError(f"stopped between steps {last} and {last + chunk.steps}: {whose}{broken}", partial)
             frames = jax.device_get(frames)
             # One statement, which Ctrl-C cannot split.
             state, done, pieces = after, done + chunk.frames, [*pieces, frames]
             bar.update(chunk.steps)
     except KeyboardInterrupt:
-        tqdm.write(f"interrupted after {done} of {plan.frames} frames", file=sys.stderr)
+        tqdm.write(f"interrupted after {around[0] + done} of {sum(around) + plan.frames} frames", file=sys.stderr)
     finally:
         bar.close()
     warn_if_hot(fluid, state, flow)
@@ -100,6 +107,29 @@ def chunk_frames(plan: Plan, beads: int) -> int:
 def next_chunk(size: int, left: int) -> int:
     """``size`` frames, or all that is left where that would leave a single one."""
     return left if left <= size + 1 else size
+
+
+def _whose(status, numbers) -> str:
+    """The members of a batch that failed, each with those of its numbers that differ from member to member."""
+    status, named = np.asarray(status), {}
+    if not status.ndim:
+        return ""
+
+    def note(path, axis, values):
+        if axis is not None and np.ptp(np.asarray(values), axis=0).any():
+            named[_name(path)] = np.asarray(values)
+
+    trees = [dict(zip(("fluid", "dt", "flow"), parts)) for parts in (batch_axes(*numbers), numbers)]
+    jax.tree_util.tree_map_with_path(note, *trees, is_leaf=lambda axis: axis is None)
+    own = lambda k: ", ".join(f"{name} = {np.array2string(values[k], precision=6)}" for name, values in named.items())
+    failed = [f"member {k}" + (f" ({own(k)})" if named else "") for k in np.flatnonzero(status)]
+    return f"{', '.join(failed)} of {len(status)}: "
+
+
+def _name(path) -> str:
+    """Of a number in a tree, the innermost name on the way to it."""
+    names = [getattr(key, "name", getattr(key, "key", None)) for key in path]
+    return [name for name in names if name is not None][-1]
 
 
 def _check_members(fluid, dt, flow, key):
