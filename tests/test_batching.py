@@ -96,11 +96,34 @@ def test_members_are_chosen_by_number_slice_or_list(scanned):
 
 
 def test_members_that_fail_are_named_with_their_numbers(scanned):
-    whose = sys.modules[dpd.run.__module__]._whose
+    failed = sys.modules[dpd.run.__module__]._failed
     numbers = scanned.fluid, scanned.dt, scanned.flow
-    told = whose(np.uint32([0, 4, 0, 0, 4, 0]), numbers)
-    assert told == "member 1 (rate = 1., gamma = 2.), member 4 (rate = 4., gamma = 9.) of 6: "
-    assert whose(np.uint32(4), (scanned[0].fluid, 0.01, scanned[0].flow)) == ""
+    told = failed({1: "before"}, np.uint32([0, 4, 0, 0, 4, 0]), numbers, "stopped")
+    assert told.keys() == {1, 4} and told[1] == "before"
+    assert told[4].startswith("member 4 (rate = 4., gamma = 9.) of 6 stopped: positions or velocities became NaN")
+    alone = failed({}, np.uint32(4), (scanned[0].fluid, 0.01, scanned[0].flow), "stopped")
+    assert alone[0].startswith("stopped: positions")
+
+
+def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
+    """The whole batch stopped, without a name and without its frames."""
+    go = lambda rates: dpd.run(
+        water, fresh, jax.random.split(key, 3), 0.01, dpd.Plan(4, 10), dpd.shear(jnp.array(rates)), progress=False
+    )
+    with pytest.warns(UserWarning, match=r"member 1 \(rate = 90.\) of 3 stopped between steps 0 and 40: the beads ran away.*survivors"):
+        run = go([0.2, 90.0, 0.4])
+    well = go([0.2, 0.3, 0.4])
+    assert [k for k, _ in run.failed] == [1] and run.complete
+    assert [m.complete for m in run.members()] == [True, False, True] and run[1].failed[0][0] == 0
+    assert np.all(np.isnan(run.frames["temperature"][1])) and np.all(np.isfinite(run.final.velocity))
+    kept = run.survivors
+    assert not kept.failed and np.array_equal(kept.flow.rate, [0.2, 0.4])
+    jax.tree.map(np.testing.assert_array_equal, kept.frames, well[[0, 2]].frames)
+    jax.tree.map(np.testing.assert_array_equal, kept.final.position, well[[0, 2]].final.position)
+    with pytest.raises(dpd.RunError, match=r"member 0 \(rate = 80.\) of 3 .*member 2") as caught:
+        go([80.0, 90.0, 100.0])
+    with pytest.raises(ValueError, match="all 3 members failed"):
+        caught.value.trajectory.survivors
 
 
 def test_a_grid_of_keys_is_told_what_to_give(water, fresh, key):

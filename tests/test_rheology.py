@@ -1,8 +1,6 @@
 """Oscillatory shear: the strain it imposes, the clock it follows, and the moduli that are read off."""
 
-import dataclasses
 from types import SimpleNamespace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +9,6 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.flow import quiet
-from dpdjax.engine.step import _later
 
 AMPLITUDE, FREQUENCY, DT = 1.0, 1.3, 0.01
 FLOW = dpd.oscillatory_shear(AMPLITUDE, FREQUENCY)

@@ -52,11 +52,26 @@ def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam
     """
     for _ in range(MAX_GROWTHS):
         after, frames = _compiled(fluid, dt, flow, lam, state, key, plan, observe)
-        status = np.bitwise_or.reduce(np.asarray(after.status).ravel())
-        if not status & bits.OVERFLOWS:
+        status = np.asarray(after.status)
+        # A member that failed may overflow any list: it is given up, and decides nothing for the others.
+        sound = (status & ~np.uint32(bits.OVERFLOWS)) == 0
+        if not np.any(status[sound] & bits.OVERFLOWS):
             return after, frames
-        state = grow(state, [lists.overflow(n) for n in after.neighbours])
+        state = grow(state, [lists.overflow(n, sound) for n in after.neighbours])
     return after, frames
+
+
+def without_failed(before: State, after: State, frames: dict):
+    """What a batch goes on with: members that failed stay where they were, and their frames are NaN.
+
+    Returns (state, frames, status of each member).
+    """
+    status = np.asarray(after.status)
+    lost = status != 0
+    of = lambda leaf: lost.reshape(-1, *[1] * (np.ndim(leaf) - 1))
+    state = jax.tree.map(lambda old, new: jnp.where(of(new), old, new), before, after) if lost.any() else after
+    blank = lambda leaf: np.where(of(leaf), np.nan, leaf).astype(leaf.dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
+    return state, jax.tree.map(blank, jax.device_get(frames)), status
 
 
 @functools.partial(jax.jit, static_argnames=("plan", "observe"))

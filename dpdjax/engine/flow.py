@@ -145,7 +145,8 @@ class Wave(BodyForce):
             waves = np.asarray(self.numbers["wavenumber"]) * float(side) / (2 * np.pi)
             if np.any(np.abs(waves - np.round(waves)) > 1e-3):
                 raise ValueError(
-                    f"the body force is not periodic along y: {np.array2string(waves, precision=4)} waves in a side of {float(side):.4g}; "
+                    f"the body force is not periodic along y: {np.array2string(waves, precision=4)} waves in a side of "
+                    f"{float(side):.4g}; "
                     f"use dpd.sinusoidal_force(amplitude, side={float(side):.6g}, waves=...)"
                 )
         super().check(fluid, state)

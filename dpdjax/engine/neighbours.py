@@ -253,9 +253,9 @@ def _with_error(neighbour_list, code):
     return dataclasses.replace(neighbour_list, error=dataclasses.replace(neighbour_list.error, code=code))
 
 
-def overflow(neighbours: Neighbours) -> int:
-    """What of a list has overflowed, in any member of a batch: 0, or the code of :meth:`Grid.grown`; needs known values."""
-    return int(np.bitwise_or.reduce(np.asarray(neighbours.list.error.code).ravel()))
+def overflow(neighbours: Neighbours, members=...) -> int:
+    """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of :meth:`Grid.grown`; needs known values."""
+    return int(np.bitwise_or.reduce(np.asarray(neighbours.list.error.code)[members].ravel(), initial=0))
 
 
 def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:

@@ -56,6 +56,8 @@ class Trajectory:
         every: steps between two frames (static).
         complete: whether all planned frames are there (static).
         means: names of those frames that are means over their interval (static).
+        failed: of a batch, the members that failed and why (static); their frames are NaN from then on, and their
+            final state is the last that was sound.
     """
 
     final: State
@@ -66,6 +68,7 @@ class Trajectory:
     every: int = dataclasses.field(default=1, metadata={"static": True})
     complete: bool = dataclasses.field(default=True, metadata={"static": True})
     means: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})
+    failed: tuple[tuple[int, str], ...] = dataclasses.field(default=(), metadata={"static": True})
 
     @property
     def interval(self):
@@ -88,7 +91,21 @@ class Trajectory:
         take = lambda tree: jax.tree.map(lambda leaf: leaf[chosen], tree)
         own = lambda axis, part: part if axis is None else take(part)
         fluid, dt, flow = jax.tree.map(own, batch_axes(*numbers), numbers, is_leaf=lambda axis: axis is None)
-        return Trajectory(take(self.final), take(self.frames), fluid, flow, dt, self.every, self.complete, self.means)
+        failed = tuple((k, why) for k, member in enumerate(np.ravel(chosen)) for n, why in self.failed if n == member)
+        new = {"final": take(self.final), "frames": take(self.frames), "fluid": fluid, "flow": flow, "dt": dt}
+        complete = self.complete and not (failed and np.ndim(chosen) == 0)
+        return dataclasses.replace(self, **new, complete=complete, failed=failed)
+
+    @property
+    def survivors(self) -> "Trajectory":
+        """The members of a batch that did not fail, as a batch; ValueError where all did."""
+        if not self.failed:
+            return self
+        lost = dict(self.failed)
+        left = [k for k in range(self.final.position.shape[0]) if k not in lost]
+        if not left:
+            raise ValueError(f"all {len(lost)} members failed: {next(iter(lost.values()))}")
+        return self[left]
 
     def members(self) -> list["Trajectory"]:
         """The trajectories of a batch one by one, each with its own numbers; of one run, that alone."""

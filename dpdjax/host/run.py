@@ -13,7 +13,7 @@ from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
 from dpdjax.engine.batching import batch_axes
-from dpdjax.engine.chunk import batched, complete_lists, replayed
+from dpdjax.engine.chunk import batched, complete_lists, replayed, without_failed
 from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
@@ -43,13 +43,16 @@ def run(
     **Batches.** A vector of keys runs one member for each key. The state may be a batch
     (from a vmapped ``initial_state`` or an earlier batch) or one state for all, and so may
     every number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan.
-    An accelerator runs the members side by side, a CPU one after another: its caches hold one.
+    An accelerator runs the members side by side, a CPU one after another: its caches hold one. A member that fails
+    is named in a warning and in ``failed`` of the trajectory, and the others go on as if it were not there;
+    ``trajectory.survivors`` is a batch without it.
 
     ``around`` is for a run in pieces: the frames before this piece and those after it, which the message of Ctrl-C counts too.
 
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
-        RunError: positions that became NaN; its ``trajectory`` holds the frames before.
+        RunError: positions that became NaN, beads that ran away, in the run or in all members; its ``trajectory``
+            holds the frames before.
     """
     key = prng_key(key)
     if key.ndim > 1:
@@ -69,20 +72,19 @@ def run(
     observe = tuple(recorders(observe))
     numbers = (fluid, dt, flow, averaged(observe, fluid, state))
 
-    pieces, done = [], 0
+    pieces, done, failed = [], 0, {}
     size = chunk_frames(plan, int(np.prod(state.position.shape[:-1])))
     bar = tqdm(total=plan.steps, unit="step", disable=not progress, mininterval=0.5)
     try:
         while done < plan.frames:
             chunk = Plan(next_chunk(size, plan.frames - done), plan.every)
             after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam)
-            broken = bits.describe(after.status)
-            if broken:
-                partial = _trajectory(state, pieces, numbers, plan, complete=False)
-                last = int(np.max(state.step))
-                whose = _whose(after.status, numbers[:3])
-                raise RunError(f"stopped between steps {last} and {last + chunk.steps}: {whose}{broken}", partial)
-            frames = jax.device_get(frames)
+            after, frames, lost = without_failed(state, after, frames) if key.ndim else (after, jax.device_get(frames), after.status)
+            last = int(np.max(state.step))
+            failed = _failed(failed, lost, numbers[:3], f"stopped between steps {last} and {last + chunk.steps}")
+            if len(failed) == np.size(lost):
+                partial = _trajectory(state, pieces, numbers, plan, False, failed)
+                raise RunError("; ".join(dict.fromkeys(failed.values())), partial)
             # One statement, which Ctrl-C cannot split.
             state, done, pieces = after, done + chunk.frames, [*pieces, frames]
             bar.update(chunk.steps)
@@ -91,7 +93,9 @@ def run(
     finally:
         bar.close()
     warn_if_hot(fluid, state, flow)
-    return _trajectory(state, pieces, numbers, plan, complete=done == plan.frames)
+    for member in failed.values():
+        warnings.warn(f"{member}; the others went on: trajectory.survivors", stacklevel=2)
+    return _trajectory(state, pieces, numbers, plan, done == plan.frames, failed)
 
 
 def chunk_frames(plan: Plan, beads: int) -> int:
@@ -109,21 +113,26 @@ def next_chunk(size: int, left: int) -> int:
     return left if left <= size + 1 else size
 
 
-def _whose(status, numbers) -> str:
-    """The members of a batch that failed, each with those of its numbers that differ from member to member."""
-    status, named = np.asarray(status), {}
-    if not status.ndim:
-        return ""
+def _failed(before: dict, status, numbers, when: str) -> dict[int, str]:
+    """The members that failed so far, each with its own numbers, when and why."""
+    status = np.atleast_1d(np.asarray(status))
+    fresh = [k for k in np.flatnonzero(status) if k not in before]
+    whose = lambda k: f"{_named(k, numbers)} of {len(status)} " if len(status) > 1 else ""
+    return before | {int(k): f"{whose(k)}{when}: {bits.describe(status[k])}" for k in fresh}
+
+
+def _named(member: int, numbers) -> str:
+    """A member with those of its numbers that differ from member to member."""
+    named = {}
 
     def note(path, axis, values):
         if axis is not None and np.ptp(np.asarray(values), axis=0).any():
-            named[_name(path)] = np.asarray(values)
+            named[_name(path)] = np.asarray(values)[member]
 
     trees = [dict(zip(("fluid", "dt", "flow"), parts)) for parts in (batch_axes(*numbers), numbers)]
     jax.tree_util.tree_map_with_path(note, *trees, is_leaf=lambda axis: axis is None)
-    own = lambda k: ", ".join(f"{name} = {np.array2string(values[k], precision=6)}" for name, values in named.items())
-    failed = [f"member {k}" + (f" ({own(k)})" if named else "") for k in np.flatnonzero(status)]
-    return f"{', '.join(failed)} of {len(status)}: "
+    own = ", ".join(f"{name} = {np.array2string(value, precision=6)}" for name, value in named.items())
+    return f"member {member}" + (f" ({own})" if own else "")
 
 
 def _name(path) -> str:
@@ -156,8 +165,9 @@ def _refuse(fluid, state, key):
         raise ValueError(trouble)
 
 
-def _trajectory(state, pieces, numbers, plan, complete):
+def _trajectory(state, pieces, numbers, plan, complete, failed):
     fluid, dt, flow, means = numbers
     axis = 1 if state.position.ndim == 3 else 0
     frames = jax.tree.map(lambda *parts: np.concatenate(parts, axis), *pieces) if pieces else {}
-    return Trajectory(state, frames, fluid, flow, jnp.asarray(dt, state.position.dtype), plan.every, complete, means)
+    dt = jnp.asarray(dt, state.position.dtype)
+    return Trajectory(state, frames, fluid, flow, dt, plan.every, complete, means, tuple(failed.items()))
