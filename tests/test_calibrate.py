@@ -170,7 +170,7 @@ def test_fluid_without_drag_has_no_viscosity(water, key):
 
 def test_first_guesses(water):
     """The drag stress of kinetic theory, and a rate that falls with the tolerance."""
-    gamma = drag_guess(water, 1.3, 3.0)
+    gamma = drag_guess(water, "gamma", 1.3, 3.0)
     assert rough_viscosity(water.set(gamma=1e4 * gamma), 3.0) == pytest.approx(1.3e4, rel=1e-3)
     rates = [suggest_rate(water, 3.0, 0.9, tolerance) for tolerance in (0.005, 0.02)]
     assert rates[1] == pytest.approx(2 * rates[0])

@@ -11,7 +11,7 @@ import numpy as np
 
 from dpdjax.calibration.goal import Goal
 from dpdjax.engine import status as bits
-from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin
+from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed
 from dpdjax.engine.flow import quiet
@@ -22,6 +22,8 @@ from dpdjax.engine.start import initial_state
 from dpdjax.engine.state import grow
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
+from dpdjax.model.laws import central_drag
+from dpdjax.model.term import term
 
 PIECE = Plan(frames=25, every=40)
 """A run is extended by whole pieces until its error bar is met: one compilation for all."""
@@ -63,7 +65,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     """A batch of boxes in equilibrium.
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
-    and a long step, for five thermal times.
+    and a long step, for five thermal times at least.
 
     Raises ValueError for a fluid of several groups, whose boxes would be filled with as many of each.
     """
@@ -76,19 +78,33 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
     _check_dt(fluid, state, step)
     keys = jax.random.split(noise_key, boxes)
-    thermal = thermal_time(fluid)
-    weak = fluid.set(gamma=4.5 / thermal) if "gamma" in fluid.coefficients else fluid
-    plan = Plan(10, 50)
-    long = min(0.01 * thermal, 2 * suggest_dt(weak, density))
-    state, _ = _replayed(weak, complete_lists(state), keys, long, plan, quiet(), standard)
-    bench = Bench(fluid, goal, density, state, keys, dt)
-    bench.steps += plan.steps * bench.beads
+    bench = Bench(fluid, goal, density, complete_lists(state), keys, dt)
+    _equilibrate(bench)
     return bench
 
 
-def thermal_time(fluid) -> float:
-    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach."""
-    return min(fluid.reaches()) * math.sqrt(float(jnp.min(fluid.mass)) / float(fluid.kT))
+EQUILIBRATION = Plan(10, 50)
+WEAK = 1.9
+"""Damping rate of the drag that equilibrates, in inverse thermal times: that of gamma 4.5 in units of one at density 3."""
+
+
+def _equilibrate(bench):
+    weak = weakly_damped(bench.fluid, bench.density)
+    thermal = thermal_time(weak)
+    dt = min(0.01 * thermal, 2 * suggest_dt(weak, bench.density))
+    for _ in range(math.ceil(5 * thermal / (dt * EQUILIBRATION.steps) * (1 - 1e-6))):
+        bench.state, _ = _replayed(weak, bench.state, bench.keys, dt, EQUILIBRATION, quiet(), standard)
+        bench.steps += EQUILIBRATION.steps * bench.beads
+
+
+def weakly_damped(fluid, density: float):
+    """The fluid of one kind of bead with its potentials, and in place of its drag one that equilibrates fast."""
+    (among,) = fluid.interactions
+    reach, mass, thermal = max(fluid.reaches()), float(jnp.min(fluid.mass)), thermal_time(fluid)
+    # omega = 4 pi gamma density r_c^3 / 90 m for zeta = gamma w^2.
+    gamma = WEAK / thermal * 90 * mass / (4 * math.pi * density * reach**3)
+    drag = term(central_drag, gamma=gamma, r_c=reach)
+    return dataclasses.replace(fluid, interactions=(dataclasses.replace(among, drag=(drag,), random=None),))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,7 +221,8 @@ def window_time(fluid, density: float) -> float:
     as ``exp(2.8 t)`` at a = 0 and ``exp(4 t)`` in water, in thermal times (measured:
     tests/physics/RESULTS.md).
     """
-    return min(0.7 * thermal_time(fluid), 4.0 / max(damping_rate(fluid, density), 1e-12))
+    damping = damping_rate(fluid, density)
+    return min(0.7 * thermal_time(fluid), 4.0 / damping) if damping > 0 else 0.7 * thermal_time(fluid)
 
 
 def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) -> list[Estimate]:
