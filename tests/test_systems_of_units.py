@@ -3,14 +3,12 @@
 import dataclasses
 import math
 
-import jax
-import numpy as np
 import pytest
 
 import dpdjax as dpd
 from dpdjax.calibration import experiment
-from dpdjax.calibration.calibrate import calibrate, drag_guess, measure_viscosity, rough_viscosity
-from dpdjax.calibration.goal import suggest_rate, viscosity_goal
+from dpdjax.calibration.calibrate import drag_guess, rough_viscosity
+from dpdjax.calibration.goal import suggest_rate
 from dpdjax.engine.advice import drag_viscosity, thermal_time
 
 GAMMA, A, DENSITY = 12.0, 25.0, 3.0

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+import warnings
 from typing import Any
 
 import jax
@@ -28,6 +29,9 @@ from dpdjax.model.term import term
 PIECE = Plan(frames=25, every=40)
 """A run is extended by whole pieces until its error bar is met: one compilation for all."""
 MIN_BLOCKS = 16
+"""Pieces of the shortest run, over all boxes."""
+BLOCKS = 32
+"""Blocks an error is read off, over all boxes, or fewer that are longer where they hang together."""
 WINDOW_FRAMES = 16
 
 
@@ -151,6 +155,7 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     for _ in range(math.ceil(settle / piece_time)):
         _extend(bench, fluid, dt)
     series, noise, heat, spent = [], [], [], 0
+    pieces = -(-MIN_BLOCKS // bench.state.position.shape[0])
     while True:
         frames = _extend(bench, fluid, dt)
         spent += PIECE.steps * bench.beads
@@ -158,11 +163,14 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
         _refuse_heat(bench, fluid, dt, heat[-1])
         series.append(frames["value"])
         noise.append(frames.get("noise"))
+        if len(series) < pieces and spent < most:
+            continue
         estimate = _estimate(series, noise, bench.goal.scale)
         report(f"{bench.goal.name} {estimate}, wanted error {error:.2g}")
-        enough = len(series) * bench.state.position.shape[0] >= MIN_BLOCKS
-        if (enough and estimate.error <= error) or spent >= most:
+        if estimate.error <= error or spent >= most:
             break
+        pieces = planned(len(series), estimate.error / error)
+    _tell_heat(bench, fluid, dt, np.mean(heat))
     count = len(series) * PIECE.frames
     times = dt * PIECE.every * np.arange(1, count + 1)
     values = bench.goal.scale * np.concatenate(series, axis=1)
@@ -170,8 +178,19 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     return Measurement(estimate, values, times, dt, rate, bench.steps, temperature=temperature)
 
 
-HOT = 0.25
-"""Excess of the kinetic temperature over kT that a measurement refuses."""
+HOT, WARM = 0.25, 0.05
+"""Excess of the kinetic temperature over kT that a measurement refuses, and that it warns of: ``suggest_rate`` allows 0.03."""
+
+
+def _tell_heat(bench, fluid, dt, temperature):
+    """Warn where the whole measurement was warmer than the wanted fluid."""
+    if math.isnan(temperature) or temperature <= (1 + WARM) * float(fluid.kT):
+        return
+    warnings.warn(
+        f"{bench.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % above kT, with shear rate "
+        f"{float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= or dt=",
+        stacklevel=2,
+    )
 
 
 def _refuse_heat(bench, fluid, dt, temperature):
@@ -207,11 +226,33 @@ def _replayed(fluid, state, keys, dt, plan, flow, observe):
     return after, frames
 
 
+LEAST, CAUTION = 1.15, 0.6
+"""Least growth of a run that is not good enough, and the share of a long way to go before its length is planned anew."""
+
+
+def planned(pieces: int, ratio: float) -> int:
+    """Pieces to run, for one whose error is ``ratio`` times the wanted one after ``pieces``.
+
+    A run is looked at seldom, and where its error is far from small enough: whoever stops at the first estimate of an
+    error that will do picks one that is too small (by a fifth with 16 blocks looked at after every piece).
+    """
+    growth = ratio**2 if ratio**2 < 2.0 else max(CAUTION * ratio**2, 1.5)
+    return math.ceil(pieces * min(max(growth, LEAST), 16.0))
+
+
 def _estimate(series, noise, scale) -> Estimate:
+    """Mean with an error that covers though it is read off few blocks.
+
+    Student's t of ``n`` blocks scatters as ``sqrt((n - 1)/(n - 3))``, and the control variate takes one degree of freedom.
+    """
+    # No block is shorter than a piece: a short one remembers the one before it.
+    blocks, fitted = min(BLOCKS, len(series) * len(series[0])), 0
     series = scale * np.concatenate(series, axis=1)
     if noise[0] is not None:
-        series = controlled(series, np.concatenate(noise, axis=1), MIN_BLOCKS)
-    return block_average(series, MIN_BLOCKS)
+        series, fitted = controlled(series, np.concatenate(noise, axis=1), blocks), 1
+    found = block_average(series, blocks)
+    widened = math.sqrt((found.blocks - 1) / max(found.blocks - 3 - fitted, 1))
+    return dataclasses.replace(found, error=found.error * widened)
 
 
 def window_time(fluid, density: float) -> float:
