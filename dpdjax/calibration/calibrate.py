@@ -11,6 +11,7 @@ import numpy as np
 from dpdjax.calibration import experiment
 from dpdjax.calibration.curve import Curve, Point, propose
 from dpdjax.calibration.goal import (
+    ONE_NUMBER,
     Goal,
     custom_goal,
     damped,
@@ -150,6 +151,7 @@ def calibrate(
     sign = _branch_sign(branch)
     positive(tolerance, "tolerance")
     density = _density(fluid, density)
+    _refuse_unused(viscosity, target, observe, flow, rate)
     say = report or (lambda text: None)
     if not isinstance(parameter, str):
         wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
@@ -277,6 +279,17 @@ def _check_goal(viscosity, pressure, target, observe):
         raise ValueError(f"{name} is 0, and no error bar is small relative to it; shift the number that is observed")
     if name == "target" and observe is None:
         raise ValueError("target= needs observe=, a function observe(fluid, state) of which it is the mean")
+    if name == "target" and not callable(observe):
+        raise TypeError(f"observe is a {type(observe).__name__}; {ONE_NUMBER}")
+
+
+def _refuse_unused(viscosity, target, observe, flow, rate):
+    """Raise where an argument would be ignored without a word."""
+    for name, value, goes_with, wanted in (
+        ("observe", observe, "target", target), ("flow", flow, "target", target), ("rate", rate, "viscosity", viscosity),
+    ):  # fmt: skip
+        if value is not None and wanted is None:
+            raise ValueError(f"{name}= is used with {goes_with}= only; give {goes_with}= or leave {name}= out")
 
 
 def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:

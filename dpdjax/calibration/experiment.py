@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.calibration.goal import Goal
+from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
 from dpdjax.engine.batching import each_member
@@ -81,6 +81,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
     _check_dt(fluid, state, step)
+    check_observed(goal, fluid, jax.tree.map(lambda leaf: leaf[0], state))
     keys = jax.random.split(noise_key, boxes)
     bench = Bench(fluid, goal, density, complete_lists(state), keys, dt)
     _equilibrate(bench)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from dpdjax.engine import flow as flows
@@ -70,6 +71,17 @@ def custom_goal(target: float, observe: Callable, flow=None, name: str = "value"
 @functools.cache
 def _named(observe):
     return lambda fluid, state: {"value": observe(fluid, state)}
+
+
+ONE_NUMBER = "give a function of one number, such as observe=dpd.temperature"
+
+
+def check_observed(goal: Goal, fluid, state):
+    """Raise TypeError unless what is observed of one state is one real number."""
+    found = jax.eval_shape(goal.observe, fluid, state)["value"]
+    if getattr(found, "shape", None) != () or jnp.issubdtype(found.dtype, jnp.complexfloating):
+        kind = f"an array of shape {found.shape}" if hasattr(found, "shape") else f"a {type(found).__name__}"
+        raise TypeError(f"observe returns {kind} where the target is one number; {ONE_NUMBER}")
 
 
 def damped(fluid, density: float) -> float:
