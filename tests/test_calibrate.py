@@ -160,6 +160,33 @@ def test_wrong_names(water, key):
         calibrate(water, viscosity=1.0, key=0)
 
 
+@pytest.mark.parametrize(
+    "observe, found",
+    [
+        ({"value": 1.0}, "observe is a dict"),
+        (dpd.mean(dpd.standard), "observe is a"),
+        (dpd.standard, "observe returns a dict where"),
+        (dpd.pressure_tensor, r"observe returns an array of shape \(3, 3\) where"),
+        (lambda fluid, state: None, "observe returns a NoneType where"),
+    ],
+)
+def test_what_is_observed_is_one_number(water, key, fresh, monkeypatch, observe, found):
+    batch = jax.tree.map(lambda leaf: leaf[None], fresh)
+    monkeypatch.setattr(experiment, "replayed", never)
+    monkeypatch.setattr(experiment.jax, "vmap", lambda build: lambda keys: batch)
+    with pytest.raises(TypeError, match=f"{found}.*give a function of one number, such as observe=dpd.temperature"):
+        calibrate(water, target=1.0, observe=observe, key=key, dt=0.01)
+
+
+def test_arguments_that_would_be_ignored(water, key):
+    with pytest.raises(ValueError, match="observe= is used with target= only; give target= or leave observe= out"):
+        calibrate(water, viscosity=1.0, observe=lambda fluid, state: 1.0, key=key)
+    with pytest.raises(ValueError, match="flow= is used with target= only"):
+        calibrate(water, pressure=1.0, flow=dpd.shear(0.1), key=key)
+    with pytest.raises(ValueError, match="rate= is used with viscosity= only"):
+        calibrate(water, pressure=1.0, rate=0.1, key=key)
+
+
 def test_fluid_without_drag_has_no_viscosity(water, key):
     frictionless = water.set(gamma=0.0)
     with pytest.raises(ValueError, match="no drag, so no steady viscosity"):
@@ -170,7 +197,7 @@ def test_fluid_without_drag_has_no_viscosity(water, key):
 
 def test_first_guesses(water):
     """The drag stress of kinetic theory, and a rate that falls with the tolerance."""
-    gamma = drag_guess(water, 1.3, 3.0)
+    gamma = drag_guess(water, "gamma", 1.3, 3.0)
     assert rough_viscosity(water.set(gamma=1e4 * gamma), 3.0) == pytest.approx(1.3e4, rel=1e-3)
     rates = [suggest_rate(water, 3.0, 0.9, tolerance) for tolerance in (0.005, 0.02)]
     assert rates[1] == pytest.approx(2 * rates[0])

@@ -11,6 +11,7 @@ import numpy as np
 from dpdjax.calibration import experiment
 from dpdjax.calibration.curve import Curve, Point, propose
 from dpdjax.calibration.goal import (
+    ONE_NUMBER,
     Goal,
     custom_goal,
     damped,
@@ -21,6 +22,7 @@ from dpdjax.calibration.goal import (
 )
 from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
 from dpdjax.checks import number, positive, prng_key
+from dpdjax.engine.advice import drag_viscosity, thermal_time
 from dpdjax.measure.statistics import Estimate
 
 MAX_POINTS = 10
@@ -97,7 +99,7 @@ def calibrate(
     target=None,
     observe=None,
     flow=None,
-    density: float = 3.0,
+    density: float | None = None,
     tolerance: float = 0.02,
     branch: str = "upper",
     guess: float | None = None,
@@ -126,7 +128,7 @@ def calibrate(
         key: a PRNG key.
         viscosity, pressure: the wanted number; or ``target`` with ``observe(fluid, state)``
             and the ``flow`` it is measured in.
-        density: beads per volume.
+        density: beads per volume; by default 3 in the cube of the longest reach.
         tolerance: relative; the standard error of the wanted number at the answer, in the
             fit and in the fresh run, is at most a third of it.
         branch: ``"upper"`` where the number rises with the parameter, ``"lower"`` where it
@@ -148,7 +150,8 @@ def calibrate(
     key = prng_key(key)
     sign = _branch_sign(branch)
     positive(tolerance, "tolerance")
-    density = float(positive(density, "density"))
+    density = _density(fluid, density)
+    _refuse_unused(viscosity, target, observe, flow, rate)
     say = report or (lambda text: None)
     if not isinstance(parameter, str):
         wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
@@ -184,7 +187,7 @@ def calibrate(
     error = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
     fluid = fluid.set(energies="keep", **{parameter: value})
     bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
-    settle = 0.5 * experiment.thermal_time(fluid)
+    settle = 0.5 * thermal_time(fluid)
     fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
     return Calibration(
         parameter, goal.name, goal.target, Estimate(value, error, len(points)), fresh.estimate, fluid, tuple(points),
@@ -194,7 +197,7 @@ def calibrate(
 
 
 def measure_viscosity(
-    fluid, *, key, density: float = 3.0, tolerance: float = 0.02, dt=None, rate=None, box=None, boxes: int = 2,
+    fluid, *, key, density: float | None = None, tolerance: float = 0.02, dt=None, rate=None, box=None, boxes: int = 2,
     max_particle_steps: float = 2e9, report=None,
 ) -> experiment.Measurement:  # fmt: skip
     """The viscosity of a fluid in homogeneous shear, to a standard error of a third of the tolerance.
@@ -207,13 +210,13 @@ def measure_viscosity(
     began = time.monotonic()
     key = prng_key(key)
     positive(tolerance, "tolerance")
-    density = float(positive(density, "density"))
+    density = _density(fluid, density)
     rough = rough_viscosity(fluid, density)
     goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
     say = report or (lambda text: None)
     say(f"equilibrating {boxes} boxes")
     bench = _bench(fluid, goal, key, density, box, boxes, dt)
-    settle = experiment.thermal_time(fluid)
+    settle = thermal_time(fluid)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
     first = experiment.measure(bench, fluid, wanted, settle, most, say)
@@ -246,11 +249,15 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
 
 
 def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point:
-    settle = (1.0 if first else 0.5) * experiment.thermal_time(fluid)
+    settle = (1.0 if first else 0.5) * thermal_time(fluid)
     value = experiment.measure(bench, fluid, error, settle, int(most), say).estimate
     windows = max(1, -(-SLOPE_SAMPLES // bench.state.position.shape[0]))
     (slope,) = experiment.measure_slopes(bench, fluid, (parameter,), windows)
     return Point(x, value, slope)
+
+
+def _density(fluid, density) -> float:
+    return 3.0 / max(fluid.reaches()) ** 3 if density is None else float(positive(density, "density"))
 
 
 def _bench(fluid, goal, key, density, box, boxes, dt):
@@ -272,6 +279,17 @@ def _check_goal(viscosity, pressure, target, observe):
         raise ValueError(f"{name} is 0, and no error bar is small relative to it; shift the number that is observed")
     if name == "target" and observe is None:
         raise ValueError("target= needs observe=, a function observe(fluid, state) of which it is the mean")
+    if name == "target" and not callable(observe):
+        raise TypeError(f"observe is a {type(observe).__name__}; {ONE_NUMBER}")
+
+
+def _refuse_unused(viscosity, target, observe, flow, rate):
+    """Raise where an argument would be ignored without a word."""
+    for name, value, goes_with, wanted in (
+        ("observe", observe, "target", target), ("flow", flow, "target", target), ("rate", rate, "viscosity", viscosity),
+    ):  # fmt: skip
+        if value is not None and wanted is None:
+            raise ValueError(f"{name}= is used with {goes_with}= only; give {goes_with}= or leave {name}= out")
 
 
 def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
@@ -295,19 +313,22 @@ def _first_guess(fluid, parameter, guess, viscosity, density) -> float:
         raise ValueError(f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated")
     if guess is not None:
         return float(positive(guess, "guess"))
-    if parameter == "gamma" and viscosity is not None:
-        return drag_guess(fluid, viscosity, density)
-    return float(positive(present, parameter, "give guess="))
+    by_drag = None if viscosity is None else drag_guess(fluid, parameter, viscosity, density)
+    return float(positive(present, parameter, "give guess=")) if by_drag is None else by_drag
 
 
-def drag_guess(fluid, viscosity: float, density: float) -> float:
-    """The gamma whose drag alone gives the viscosity: ``2 pi gamma rho^2 r_c^5 / 1575``, inverted.
+def drag_guess(fluid, parameter: str, viscosity: float, density: float) -> float | None:
+    """The number whose drag alone gives the viscosity; None for one in which the drag is not linear.
 
-    Kinetic theory for the weight exponent 2 (Marsh et al. 1997); 30-40 % off, and good
-    enough to begin with.
+    Kinetic theory (Marsh et al. 1997); 30-40 % off, and good enough to begin with.
     """
-    reach = max(fluid.reaches())
-    return 1575.0 * viscosity / (2 * math.pi * density**2 * reach**5)
+    base = float(fluid.value(parameter)) or 1.0
+    drag = lambda share: drag_viscosity(fluid.set(**{parameter: share * base}), density)
+    one, two, four = (drag(share) for share in (1.0, 2.0, 4.0))
+    if not two > one * (1 + 1e-4) or not math.isclose(four - two, 2 * (two - one), rel_tol=1e-3):
+        return None
+    share = (viscosity - (2 * one - two)) / (two - one)
+    return share * base if share > 0 else None
 
 
 def _refuse_unreachable(points, proposal, goal, parameter):

@@ -3,15 +3,16 @@
 import dataclasses
 import functools
 import math
+import warnings
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.calibration.goal import Goal
+from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.engine import status as bits
-from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin
+from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed
 from dpdjax.engine.flow import quiet
@@ -22,10 +23,15 @@ from dpdjax.engine.start import initial_state
 from dpdjax.engine.state import grow
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
+from dpdjax.model.laws import central_drag
+from dpdjax.model.term import term
 
 PIECE = Plan(frames=25, every=40)
 """A run is extended by whole pieces until its error bar is met: one compilation for all."""
 MIN_BLOCKS = 16
+"""Pieces of the shortest run, over all boxes."""
+BLOCKS = 32
+"""Blocks an error is read off, over all boxes, or fewer that are longer where they hang together."""
 WINDOW_FRAMES = 16
 
 
@@ -63,7 +69,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     """A batch of boxes in equilibrium.
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
-    and a long step, for five thermal times.
+    and a long step, for five thermal times at least.
 
     Raises ValueError for a fluid of several groups, whose boxes would be filled with as many of each.
     """
@@ -75,20 +81,35 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
     _check_dt(fluid, state, step)
+    check_observed(goal, fluid, jax.tree.map(lambda leaf: leaf[0], state))
     keys = jax.random.split(noise_key, boxes)
-    thermal = thermal_time(fluid)
-    weak = fluid.set(gamma=4.5 / thermal) if "gamma" in fluid.coefficients else fluid
-    plan = Plan(10, 50)
-    long = min(0.01 * thermal, 2 * suggest_dt(weak, density))
-    state, _ = _replayed(weak, complete_lists(state), keys, long, plan, quiet(), standard)
-    bench = Bench(fluid, goal, density, state, keys, dt)
-    bench.steps += plan.steps * bench.beads
+    bench = Bench(fluid, goal, density, complete_lists(state), keys, dt)
+    _equilibrate(bench)
     return bench
 
 
-def thermal_time(fluid) -> float:
-    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach."""
-    return min(fluid.reaches()) * math.sqrt(float(jnp.min(fluid.mass)) / float(fluid.kT))
+EQUILIBRATION = Plan(10, 50)
+WEAK = 1.9
+"""Damping rate of the drag that equilibrates, in inverse thermal times: that of gamma 4.5 in units of one at density 3."""
+
+
+def _equilibrate(bench):
+    weak = weakly_damped(bench.fluid, bench.density)
+    thermal = thermal_time(weak)
+    dt = min(0.01 * thermal, 2 * suggest_dt(weak, bench.density))
+    for _ in range(math.ceil(5 * thermal / (dt * EQUILIBRATION.steps) * (1 - 1e-6))):
+        bench.state, _ = _replayed(weak, bench.state, bench.keys, dt, EQUILIBRATION, quiet(), standard)
+        bench.steps += EQUILIBRATION.steps * bench.beads
+
+
+def weakly_damped(fluid, density: float):
+    """The fluid of one kind of bead with its potentials, and in place of its drag one that equilibrates fast."""
+    (among,) = fluid.interactions
+    reach, mass, thermal = max(fluid.reaches()), float(jnp.min(fluid.mass)), thermal_time(fluid)
+    # omega = 4 pi gamma density r_c^3 / 90 m for zeta = gamma w^2.
+    gamma = WEAK / thermal * 90 * mass / (4 * math.pi * density * reach**3)
+    drag = term(central_drag, gamma=gamma, r_c=reach)
+    return dataclasses.replace(fluid, interactions=(dataclasses.replace(among, drag=(drag,), random=None),))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,6 +156,7 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     for _ in range(math.ceil(settle / piece_time)):
         _extend(bench, fluid, dt)
     series, noise, heat, spent = [], [], [], 0
+    pieces = -(-MIN_BLOCKS // bench.state.position.shape[0])
     while True:
         frames = _extend(bench, fluid, dt)
         spent += PIECE.steps * bench.beads
@@ -142,11 +164,14 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
         _refuse_heat(bench, fluid, dt, heat[-1])
         series.append(frames["value"])
         noise.append(frames.get("noise"))
+        if len(series) < pieces and spent < most:
+            continue
         estimate = _estimate(series, noise, bench.goal.scale)
         report(f"{bench.goal.name} {estimate}, wanted error {error:.2g}")
-        enough = len(series) * bench.state.position.shape[0] >= MIN_BLOCKS
-        if (enough and estimate.error <= error) or spent >= most:
+        if estimate.error <= error or spent >= most:
             break
+        pieces = planned(len(series), estimate.error / error)
+    _tell_heat(bench, fluid, dt, np.mean(heat))
     count = len(series) * PIECE.frames
     times = dt * PIECE.every * np.arange(1, count + 1)
     values = bench.goal.scale * np.concatenate(series, axis=1)
@@ -154,8 +179,19 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     return Measurement(estimate, values, times, dt, rate, bench.steps, temperature=temperature)
 
 
-HOT = 0.25
-"""Excess of the kinetic temperature over kT that a measurement refuses."""
+HOT, WARM = 0.25, 0.05
+"""Excess of the kinetic temperature over kT that a measurement refuses, and that it warns of: ``suggest_rate`` allows 0.03."""
+
+
+def _tell_heat(bench, fluid, dt, temperature):
+    """Warn where the whole measurement was warmer than the wanted fluid."""
+    if math.isnan(temperature) or temperature <= (1 + WARM) * float(fluid.kT):
+        return
+    warnings.warn(
+        f"{bench.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % above kT, with shear rate "
+        f"{float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= or dt=",
+        stacklevel=2,
+    )
 
 
 def _refuse_heat(bench, fluid, dt, temperature):
@@ -191,11 +227,33 @@ def _replayed(fluid, state, keys, dt, plan, flow, observe):
     return after, frames
 
 
+LEAST, CAUTION = 1.15, 0.6
+"""Least growth of a run that is not good enough, and the share of a long way to go before its length is planned anew."""
+
+
+def planned(pieces: int, ratio: float) -> int:
+    """Pieces to run, for one whose error is ``ratio`` times the wanted one after ``pieces``.
+
+    A run is looked at seldom, and where its error is far from small enough: whoever stops at the first estimate of an
+    error that will do picks one that is too small (by a fifth with 16 blocks looked at after every piece).
+    """
+    growth = ratio**2 if ratio**2 < 2.0 else max(CAUTION * ratio**2, 1.5)
+    return math.ceil(pieces * min(max(growth, LEAST), 16.0))
+
+
 def _estimate(series, noise, scale) -> Estimate:
+    """Mean with an error that covers though it is read off few blocks.
+
+    Student's t of ``n`` blocks scatters as ``sqrt((n - 1)/(n - 3))``, and the control variate takes one degree of freedom.
+    """
+    # No block is shorter than a piece: a short one remembers the one before it.
+    blocks, fitted = min(BLOCKS, len(series) * len(series[0])), 0
     series = scale * np.concatenate(series, axis=1)
     if noise[0] is not None:
-        series = controlled(series, np.concatenate(noise, axis=1), MIN_BLOCKS)
-    return block_average(series, MIN_BLOCKS)
+        series, fitted = controlled(series, np.concatenate(noise, axis=1), blocks), 1
+    found = block_average(series, blocks)
+    widened = math.sqrt((found.blocks - 1) / max(found.blocks - 3 - fitted, 1))
+    return dataclasses.replace(found, error=found.error * widened)
 
 
 def window_time(fluid, density: float) -> float:
@@ -205,7 +263,8 @@ def window_time(fluid, density: float) -> float:
     as ``exp(2.8 t)`` at a = 0 and ``exp(4 t)`` in water, in thermal times (measured:
     tests/physics/RESULTS.md).
     """
-    return min(0.7 * thermal_time(fluid), 4.0 / max(damping_rate(fluid, density), 1e-12))
+    damping = damping_rate(fluid, density)
+    return min(0.7 * thermal_time(fluid), 4.0 / damping) if damping > 0 else 0.7 * thermal_time(fluid)
 
 
 def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) -> list[Estimate]:

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
 from dpdjax.engine import flow as flows
-from dpdjax.engine.advice import damping_rate
+from dpdjax.engine.advice import damping_rate, drag_viscosity, thermal_time
 from dpdjax.engine.observables import pressure_tensor, static_pressure, temperature
 
 
@@ -73,6 +73,17 @@ def _named(observe):
     return lambda fluid, state: {"value": observe(fluid, state)}
 
 
+ONE_NUMBER = "give a function of one number, such as observe=dpd.temperature"
+
+
+def check_observed(goal: Goal, fluid, state):
+    """Raise TypeError unless what is observed of one state is one real number."""
+    found = jax.eval_shape(goal.observe, fluid, state)["value"]
+    if getattr(found, "shape", None) != () or jnp.issubdtype(found.dtype, jnp.complexfloating):
+        kind = f"an array of shape {found.shape}" if hasattr(found, "shape") else f"a {type(found).__name__}"
+        raise TypeError(f"observe returns {kind} where the target is one number; {ONE_NUMBER}")
+
+
 def damped(fluid, density: float) -> float:
     """:func:`damping_rate`; raises ValueError where it is zero: shear would heat such a fluid for ever."""
     omega = damping_rate(fluid, density)
@@ -82,13 +93,8 @@ def damped(fluid, density: float) -> float:
 
 
 def rough_viscosity(fluid, density: float) -> float:
-    """Kinetic theory without correlations, ``rho D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
-    omega = damped(fluid, density)
-    mass, kT = float(np.min(fluid.mass)), float(fluid.kT)
-    reach = max(fluid.reaches())
-    # For zeta = gamma w^2: omega = 4 pi gamma rho r_c^3 / 90 m, and the drag stress is in the same ratio to it.
-    drag = omega * mass * density * reach**2 * (2 * math.pi / 1575) / (4 * math.pi / 90)
-    return 0.5 * density * kT / (mass * omega) + drag
+    """Kinetic theory without correlations, ``rho m D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
+    return 0.5 * density * float(fluid.kT) / damped(fluid, density) + drag_viscosity(fluid, density)
 
 
 HEATING = 2.5
@@ -105,14 +111,13 @@ def suggest_rate(fluid, density: float, viscosity: float, tolerance: float = 0.0
     """The largest shear rate whose bias stays below half the tolerance [1/time].
 
     The bias is viscous heating, ``eta rate^2 / (3 rho kT omega)`` times ``HEATING``, and it
-    acts on the kinetic share of the viscosity, estimated as ``rho D / 2`` of kinetic theory
+    acts on the kinetic share of the viscosity, estimated as ``rho m D / 2`` of kinetic theory
     (Marsh et al. 1997) and taken as a third at least. The drag share does not feel it:
     at gamma 42, kT 0.1 an excess temperature of 10 % changed the viscosity by 1 %.
     """
-    kT, mass = float(fluid.kT), float(jnp.min(fluid.mass))
-    omega = damped(fluid, density)
-    kinetic = 0.5 * density * kT / (mass * omega)
+    kT, omega = float(fluid.kT), damped(fluid, density)
+    kinetic = 0.5 * density * kT / omega
     share = min(1.0, max(kinetic / viscosity, 1.0 / 3.0))
     heating = min(0.5 * tolerance / share, 0.03)
     rate = math.sqrt(heating / HEATING * 3 * density * kT * omega / viscosity)
-    return min(rate, RATE_LIMIT * math.sqrt(kT / mass))
+    return min(rate, RATE_LIMIT / thermal_time(fluid))

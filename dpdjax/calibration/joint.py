@@ -9,6 +9,7 @@ import numpy as np
 import optax
 
 from dpdjax.calibration import experiment
+from dpdjax.engine.advice import thermal_time
 from dpdjax.measure.statistics import Estimate
 
 SIGMAS = 3.0
@@ -133,7 +134,7 @@ def _plane(points, k, centre):
         rows.append(np.concatenate([[1.0], d]) / sigma)
         wanted.append(p.values[k].value / sigma)
         for axis, slope in enumerate(p.slopes[k]):
-            sigma = max(math.hypot(slope.error, missing), 1e-12)
+            sigma = math.hypot(slope.error, missing) or 1e-12 * abs(p.values[k].value)
             rows.append(np.eye(len(d) + 1)[axis + 1] / sigma)
             wanted.append(slope.value / sigma)
     design = np.array(rows)
@@ -143,7 +144,7 @@ def _plane(points, k, centre):
 
 def _measure(fluid, parameters, benches, x, errors, first, say) -> JointPoint:
     fluid = fluid.set(energies="keep", **{n: math.exp(v) for n, v in zip(parameters, x)})
-    settle = (1.0 if first else 0.5) * experiment.thermal_time(fluid)
+    settle = (1.0 if first else 0.5) * thermal_time(fluid)
     values, slopes = [], []
     for bench, error in zip(benches, errors):
         values.append(experiment.measure(bench, fluid, error, settle, int(1e9), say).estimate)
@@ -153,7 +154,7 @@ def _measure(fluid, parameters, benches, x, errors, first, say) -> JointPoint:
 
 
 def _fresh(fluid, benches, wanted, say):
-    settle = 0.5 * experiment.thermal_time(fluid)
+    settle = 0.5 * thermal_time(fluid)
     for bench in benches:
         bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
     return [experiment.measure(b, fluid, w, settle, int(1e9), say).estimate for b, w in zip(benches, wanted)]

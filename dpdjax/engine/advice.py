@@ -26,12 +26,14 @@ CLOSE_NEIGHBOURS = 6
 SAMPLES = 400
 DIRECTIONS = {CENTRAL: 1, TRANSVERSE: 2, FULL: 3}
 """In which a friction acts."""
+DRAG_STRESS = {CENTRAL: 1, TRANSVERSE: 4, FULL: 5}
+"""What a friction adds to the viscosity, over one along the line of centres: the mean of (x y)^2 and of y^2 over a sphere."""
 TOUCHING = 1e-6
 """Gap of colloids that all but touch, in reaches: some laws are zero in overlap."""
 DEEP = 40.0
 """Depth of a potential [kT] that is seldom meant."""
 PRODUCTION_SIDE = 30.0
-"""Shortest side at which a suspension counts as large, in ``r_c``."""
+"""Shortest side at which a suspension counts as large, in reaches of its solvent."""
 
 
 def suggest_dt(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
@@ -46,11 +48,23 @@ def suggest_dt(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -
     smallest and the largest colloid.
     """
     numbers = extreme(fluid)
-    kT = max(float(numbers.kT), 1e-12)
-    error = 0.7 / (1.0 + min(repulsion_energy(numbers, density) / kT, 16.0) / 20.0)
-    rate = max(damping_rate(numbers, density), 1e-12)
-    thermal = math.sqrt(float(np.min(numbers.mass)) / kT) * shortest_reach(numbers)
-    return min(0.005 / (error * rate), 0.01 * thermal, *(0.7 * limit for _, limit in dt_limits(fluid, density, sizes)[1:]))
+    error = 0.7 / (1.0 + min(_over(repulsion_energy(numbers, density), float(numbers.kT)), 16.0) / 20.0)
+    rate = damping_rate(numbers, density)
+    limits = [0.7 * limit for _, limit in dt_limits(fluid, density, sizes)[1:]]
+    dt = min(_over(0.005 / error, rate), 0.01 * thermal_time(numbers), *limits)
+    if not math.isfinite(dt):
+        raise ValueError("nothing limits the time step: the fluid has neither kT nor a force; give dt=")
+    return dt
+
+
+def thermal_time(fluid: Fluid) -> float:
+    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach [time]; infinite at kT 0."""
+    return shortest_reach(fluid) * math.sqrt(_over(float(np.min(fluid.mass)), float(np.max(fluid.kT))))
+
+
+def _over(number: float, rate: float) -> float:
+    """``number / rate``, infinite for a rate of 0: a floor under it would be a number in some unit."""
+    return number / rate if rate > 0 else math.inf
 
 
 def dt_limits(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> list[tuple[str, float]]:
@@ -75,7 +89,7 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
     colloidal = [i for i in numbers.interactions if _is_between_colloids(numbers, i)]
     others = [i for i in numbers.interactions if not _is_between_colloids(numbers, i)]
     meetings = {(sizes[0], sizes[0]), sizes}
-    longest = lambda most, rates: most / max([*rates, 1e-12])
+    longest = lambda most, rates: _over(most, max(rates, default=0.0))
     return (
         longest(0.5, [damping_rate(numbers, density)]),
         longest(0.5, [pair_frequency(numbers, i) for i in others]),
@@ -91,10 +105,10 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
         return deep_wells(fluid)
     side, tau = float(np.min(state.box.lengths)), _diffusion_time(numbers)
     found = []
-    if side < PRODUCTION_SIDE and not fluid.rotating:
-        found.append(
-            f"box side {side:.4g} is small for a suspension, whose images are felt: use {PRODUCTION_SIDE:g} or more for production"
-        )
+    least = PRODUCTION_SIDE * min(numbers.reaches())
+    if side < least * (1 - 1e-6) and not fluid.rotating:
+        small = f"box side {side:.4g} is small for a suspension, whose images are felt"
+        found.append(f"{small}: use {least:.4g} or more for production")
     found += cut_short(fluid) + deep_wells(fluid)
     interval = float(np.max(np.asarray(dt))) * plan.every
     if interval > tau:
@@ -168,6 +182,17 @@ def damping_rate(fluid: Fluid, density) -> float:
     return float(max(np.max(rates / np.asarray(fluid.mass)), np.max(spins * _arms(fluid)))) / 3.0
 
 
+def drag_viscosity(fluid: Fluid, density: float) -> float:
+    """Viscosity of the drag among beads of one kind, without correlations [energy time/volume].
+
+    ``2 pi/15 density^2`` times the integral of ``zeta r^4`` (Marsh et al. 1997), which is
+    ``2 pi gamma density^2 r_c^5 / 1575`` for ``zeta = gamma w^2``; four times that for frictions across the line of
+    centres, five times for those in all directions, as beads that do not turn feel the whole flow.
+    """
+    fourth = [(DRAG_STRESS[t.projector], _integral(fluid, i, t, 4)) for i in fluid.interactions for t in i.drag]
+    return 2 * math.pi / 15 * density**2 * sum(share * integral for share, integral in fourth)
+
+
 def repulsion_energy(fluid: Fluid, density) -> float:
     """Mean-field repulsion of a solvent bead, ``density`` times the integral of the potentials, at least 0 [energy]."""
     densities = _densities(fluid, density)
@@ -204,10 +229,10 @@ def suggest_skin(fluid: Fluid, dt, interaction: int = 0, sorting: float = 0.0) -
     reach = numbers.reaches()[interaction]
     groups = numbers.interactions[interaction].groups
     fastest = sum(4.5 * math.sqrt(float(numbers.kT) / _lightest(numbers, group)) for group in groups)
-    skins = np.linspace(0.02, 0.6, 59) * reach
+    skins = np.round(np.linspace(0.02, 0.6, 59), 2) * reach
     rebuilds = fastest * float(np.max(np.asarray(dt))) / skins
     cost = (1 + skins / reach) ** 3 * (1 + REBUILD_COST * rebuilds) + sorting * rebuilds
-    return float(np.round(skins[np.argmin(cost)], 3))
+    return float(skins[np.argmin(cost)])
 
 
 def suggest_skins(fluid: Fluid, dt, counts, volume: float) -> list[float]:
@@ -307,9 +332,14 @@ def _largest_friction(fluid, interaction, term, sizes) -> float:
 
 
 def _volume_integral(fluid, interaction, term) -> float:
-    """Integral of a law over the volume outside the surfaces, by the midpoint rule."""
+    """Integral of a law over the volume outside the surfaces."""
+    return 4 * math.pi * _integral(fluid, interaction, term, 2)
+
+
+def _integral(fluid, interaction, term, power: int) -> float:
+    """Integral of a law times a power of the distance, by the midpoint rule."""
     r, values, _, width = _sampled(fluid, interaction, term)
-    return float(np.sum(4 * np.pi * r**2 * values) * width)
+    return float(np.sum(r**power * values) * width)
 
 
 def _sampled(fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0), inside: bool = False):
