@@ -110,7 +110,8 @@ def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
     go = lambda rates: dpd.run(
         water, fresh, jax.random.split(key, 3), 0.01, dpd.Plan(4, 10), dpd.shear(jnp.array(rates)), progress=False
     )
-    with pytest.warns(UserWarning, match=r"member 1 \(rate = 90.\) of 3 stopped between steps 0 and 40: the beads ran away.*survivors"):
+    told = r"member 1 \(rate = 90.\) of 3 stopped between steps 0 and 40: the beads ran away.*survivors"
+    with pytest.warns(UserWarning, match=told):
         run = go([0.2, 90.0, 0.4])
     well = go([0.2, 0.3, 0.4])
     assert [k for k, _ in run.failed] == [1] and run.complete
@@ -123,7 +124,7 @@ def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
     with pytest.raises(dpd.RunError, match=r"member 0 \(rate = 80.\) of 3 .*member 2") as caught:
         go([80.0, 90.0, 100.0])
     with pytest.raises(ValueError, match="all 3 members failed"):
-        caught.value.trajectory.survivors
+        _ = caught.value.trajectory.survivors
 
 
 def test_a_grid_of_keys_is_told_what_to_give(water, fresh, key):

@@ -62,16 +62,13 @@ def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam
 
 
 def without_failed(before: State, after: State, frames: dict):
-    """What a batch goes on with: members that failed stay where they were, and their frames are NaN.
-
-    Returns (state, frames, status of each member).
-    """
-    status = np.asarray(after.status)
-    lost = status != 0
+    """What a batch goes on with, state and frames: members that failed stay where they were, and their frames are NaN."""
+    lost = np.asarray(after.status) != 0
+    if not lost.any():
+        return after, frames
     of = lambda leaf: lost.reshape(-1, *[1] * (np.ndim(leaf) - 1))
-    state = jax.tree.map(lambda old, new: jnp.where(of(new), old, new), before, after) if lost.any() else after
     blank = lambda leaf: np.where(of(leaf), np.nan, leaf).astype(leaf.dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
-    return state, jax.tree.map(blank, jax.device_get(frames)), status
+    return jax.tree.map(lambda old, new: jnp.where(of(new), old, new), before, after), jax.tree.map(blank, frames)
 
 
 @functools.partial(jax.jit, static_argnames=("plan", "observe"))

@@ -254,7 +254,7 @@ def _with_error(neighbour_list, code):
 
 
 def overflow(neighbours: Neighbours, members=...) -> int:
-    """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of :meth:`Grid.grown`; needs known values."""
+    """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of :meth:`Grid.grown`."""
     return int(np.bitwise_or.reduce(np.asarray(neighbours.list.error.code)[members].ravel(), initial=0))
 
 

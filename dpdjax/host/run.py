@@ -79,7 +79,9 @@ def run(
         while done < plan.frames:
             chunk = Plan(next_chunk(size, plan.frames - done), plan.every)
             after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam)
-            after, frames, lost = without_failed(state, after, frames) if key.ndim else (after, jax.device_get(frames), after.status)
+            lost, frames = after.status, jax.device_get(frames)
+            if key.ndim:
+                after, frames = without_failed(state, after, frames)
             last = int(np.max(state.step))
             failed = _failed(failed, lost, numbers[:3], f"stopped between steps {last} and {last + chunk.steps}")
             if len(failed) == np.size(lost):
