@@ -101,7 +101,7 @@ def positions(fluid, state) -> dict:
 def positions_of(species: int):
     """An observable like :func:`positions` of the beads of one species alone, with the ``strain`` of the box.
 
-    Unwrapped positions are right without shear. A run raises ValueError where no interaction of the fluid has
+    Unwrapped positions are right where the strain stays as it is. A run raises ValueError where no interaction of the fluid has
     this species as a group of its own.
     """
 

@@ -88,8 +88,14 @@ class State:
 
     @property
     def unwrapped(self):
-        """Positions followed through the periodic images (n, 3) [length]; without shear."""
-        return self.position + self.image * self.box.lengths[..., None, :]
+        """Positions followed through the periodic images (n, 3) [length], by the lattice as it is now.
+
+        Their differences are displacements while the strain of the box stays as it is, zero or not.
+        """
+        lengths = self.box.lengths
+        shift = (self.box.strain * lengths[..., 1])[..., None] * self.image[..., 1]
+        tilted = jnp.stack([shift, jnp.zeros_like(shift), jnp.zeros_like(shift)], axis=-1)
+        return self.position + self.image * lengths[..., None, :] + tilted
 
     def restarted(self) -> "State":
         """The same beads with the force forgotten: the next run computes it from its own fluid."""

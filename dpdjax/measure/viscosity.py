@@ -28,6 +28,7 @@ from dpdjax.engine.observables import (
     total_pressure,
 )
 from dpdjax.engine.record import Recorder, integral, mean
+from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
@@ -45,11 +46,15 @@ def shear_viscosity(trajectory, *, skip: float = 0.1, blocks: int = 20, control:
         blocks: pieces for the error bar.
         control: use the random part where recorded.
 
+    Warns where stress, temperature or energy still drift over the frames used.
+
     Raises ValueError for a run without shear, or a batch that scans over numbers.
     """
     rate = _one_rate(trajectory)
     frames = _later(trajectory, skip, need="pressure_tensor")
     series = -frames["pressure_tensor"][..., 0, 1] / rate
+    drifting = {name: frames[name] for name in ("temperature", "potential_energy") if name in frames}
+    needs.warn_of_drift({"viscosity": series} | drifting)
     if control and "pressure_random" in frames:
         series = controlled(series, -frames["pressure_random"][..., 0, 1] / rate, blocks)
     return block_average(series, blocks)
@@ -103,7 +108,10 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
         window: upper limit of the integral [time]; a few correlation times.
         skip: share of the frames left out at the start.
         blocks: independent pieces for the error bar.
+
+    Raises ValueError for a run that was driven.
     """
+    needs.equilibrium(trajectory, "the Green-Kubo viscosity")
     frames = _later(trajectory, skip, need="flux")
     dt, volume, kT = _constants(trajectory)
     lags = max(1, round(window / (dt * trajectory.every)))
@@ -137,7 +145,10 @@ def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: flo
         trajectory: a run with ``observe=dpd.einstein_helfand_record``, one or replicas.
         window, start: times between which the slope is taken [time].
         skip, blocks: as in :func:`green_kubo`.
+
+    Raises ValueError for a run that was driven.
     """
+    needs.equilibrium(trajectory, "the Einstein-Helfand viscosity")
     frames = _later(trajectory, skip, need="flux_integral")
     dt, volume, kT = _constants(trajectory)
     interval = dt * trajectory.every
@@ -208,7 +219,7 @@ RECORD_OF = {
 
 
 def _one_rate(trajectory) -> float:
-    if hasattr(trajectory.flow, "frequency"):
+    if trajectory.flow.deforms and not trajectory.flow.is_steady:
         raise ValueError("the shear of this run oscillates; use dpd.moduli(trajectory).viscosity")
     refuse_scan(trajectory)
     rate = shared(trajectory.flow.rate)

@@ -1,0 +1,80 @@
+"""What measures need of a run: equilibrium, a steady state, displacements by the lattice."""
+
+import dataclasses
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import dpdjax as dpd
+from dpdjax.engine.box import wrap
+from dpdjax.measure.needs import warn_of_drift
+
+
+def memory(rng, shape, kept=0.8):
+    """A stationary series that remembers five frames."""
+    start = rng.normal(size=(*shape[:-1], 1))
+    return lfilter([1], [1, -kept], np.sqrt(1 - kept**2) * rng.normal(size=shape), zi=kept * start)[0]
+
+
+@pytest.mark.parametrize("shape", [(400,), (3, 150)])
+def test_a_stationary_series_is_seldom_told_to_drift(shape):
+    rng, told = np.random.default_rng(0), 0
+    for _ in range(400):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            warn_of_drift({"stress": memory(rng, shape)})
+        told += bool(caught)
+    assert told <= 4
+
+
+@pytest.mark.parametrize("frames", [9, 20, 400])
+def test_a_drifting_series_is_told(frames):
+    rng = np.random.default_rng(1)
+    series = 3.0 * np.exp(-5.0 * np.arange(frames) / frames) + 0.1 * rng.normal(size=frames)
+    with pytest.warns(UserWarning, match="not stationary: its viscosity goes from .* skip="):
+        warn_of_drift({"viscosity": series})
+
+
+def test_a_start_up_is_told(water, fresh, key):
+    """From a random start, 10 frames gave a viscosity of 2.7 where 0.85 is right."""
+    run = dpd.run(water, fresh, key, 0.01, dpd.Plan(10, 10), dpd.shear(0.3), progress=False)
+    with pytest.warns(UserWarning, match="not stationary: its (temperature|potential_energy|viscosity)"):
+        dpd.shear_viscosity(run)
+
+
+def synthetic(fluid, state, flow, **frames):
+    frames = {"time": np.arange(200.0), "step": np.arange(200)} | frames
+    return dpd.Trajectory(state, frames, fluid, flow, 0.01)
+
+
+def test_equilibrium_viscosities_refuse_driven_runs(water, fresh):
+    """Sheared at 0.3 they answered 1.73 and 2.90 where 0.85 is right."""
+    rng = np.random.default_rng(2)
+    tensors = {name: rng.normal(size=(200, 3, 3)) for name in ("flux", "reversed_flux", "flux_integral")}
+    frames = tensors | {"instantaneous_viscosity": np.ones(200), "temperature": np.ones(200)}
+    measures = {
+        "Green-Kubo": lambda run: dpd.green_kubo(run, window=0.05),
+        "Einstein-Helfand": lambda run: dpd.einstein_helfand(run, window=0.05),
+    }
+    driven = [(dpd.shear(0.3), "sheared"), (dpd.oscillatory_shear(0.1, 3.0), "sheared")]
+    driven += [(dpd.drive(1.0, species=0), "a force drove"), (dpd.sinusoidal_force(0.1, 4.2), "a force drove")]
+    for name, measure in measures.items():
+        for flow, why in driven:
+            with pytest.raises(ValueError, match=f"{name} viscosity is of a fluid in equilibrium, and .*{why}"):
+                measure(synthetic(water, fresh, flow, **frames))
+        assert np.isfinite(measure(synthetic(water, fresh, dpd.shear(0.0), **frames)).value)
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_displacements_in_a_tilted_box_are_those_of_the_lattice(fresh, batch):
+    """A box left at a strain of 0.4 had a bead that left it by the top come back 0.4 of its height off."""
+    state = dataclasses.replace(fresh, box=fresh.box.strained(0.4))
+    moved = state.position + jnp.asarray([[1.3, 7.0, -9.0]])
+    position, crossed = wrap(state.box, moved)
+    state = dataclasses.replace(state, position=position, image=state.image + crossed)
+    state = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state) if batch else state
+    np.testing.assert_allclose(state.unwrapped, np.broadcast_to(moved, state.position.shape), atol=1e-12)
