@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 
+import jax
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ import dpdjax as dpd
 from dpdjax.calibration import experiment
 from dpdjax.calibration.calibrate import calibrate, drag_guess, measure_viscosity, rough_viscosity
 from dpdjax.calibration.goal import suggest_rate
+from dpdjax.checks import positive
 from dpdjax.engine.advice import drag_viscosity, thermal_time
 
 GAMMA, A, DENSITY = 12.0, 25.0, 3.0
@@ -187,3 +189,10 @@ def test_calibration(key, short_pieces):
         gamma = fit.estimate.scaled(system.time / system.mass)
         found.append((gamma.value, gamma.error, fit.measured.value / system.viscosity, len(fit.history), fit.particle_steps))
     assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+def test_numbers_that_float32_cannot_hold():
+    """A moment of inertia of 1e-44 became 0 without a word."""
+    with pytest.raises(ValueError, match="inertia is 1e-44, which float32 cannot hold .*: choose units in which kT"):
+        with jax.enable_x64(False):
+            positive(1e-44, "inertia")
