@@ -36,11 +36,11 @@ def measure(monkeypatch):
         bench.steps += experiment.PIECE.steps * bench.beads
         return bench.stress.frames(experiment.PIECE.frames)
 
-    def measured(seed, error):
+    def measured(seed, error, fluid=None):
         goal = SimpleNamespace(name="viscosity", scale=1.0, flow=SimpleNamespace(rate=0.25))
         boxes = experiment.Bench(None, goal, 3.0, SimpleNamespace(position=np.zeros((2, 10, 3))), None, dt=0.01)
         boxes.stress = Stress(seed)
-        return experiment.measure(boxes, None, error, 0.0, 10**12, lambda text: None)
+        return experiment.measure(boxes, fluid, error, 0.0, 10**12, lambda text: None)
 
     monkeypatch.setattr(experiment, "_extend", extended)
     monkeypatch.setattr(experiment, "check_dt", lambda *_: None)
@@ -65,3 +65,12 @@ def test_length_is_planned():
     assert experiment.planned(10, 1.3) == 17
     assert experiment.planned(10, 3.0) == 54, "a long way is planned anew before its end"
     assert experiment.planned(10, 100.0) == 160
+
+
+def test_warm_flows_are_told(measure, monkeypatch):
+    """6 % above kT was an answer without a word."""
+    extended = experiment._extend
+    warm = lambda bench, fluid, dt: extended(bench, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
+    monkeypatch.setattr(experiment, "_extend", warm)
+    with pytest.warns(UserWarning, match="viscosity was measured 6 % above kT, with shear rate 0.25 and dt 0.01: give a smaller"):
+        measure(0, 1.0, SimpleNamespace(kT=0.1))

@@ -1,14 +1,18 @@
 """The same matter in several systems of units: every answer is the same number of reduced units."""
 
 import dataclasses
+import functools
 import math
 
+import jax
+import numpy as np
 import pytest
 
 import dpdjax as dpd
 from dpdjax.calibration import experiment
-from dpdjax.calibration.calibrate import drag_guess, rough_viscosity
+from dpdjax.calibration.calibrate import calibrate, drag_guess, measure_viscosity, rough_viscosity
 from dpdjax.calibration.goal import suggest_rate
+from dpdjax.checks import positive
 from dpdjax.engine.advice import drag_viscosity, thermal_time
 
 GAMMA, A, DENSITY = 12.0, 25.0, 3.0
@@ -91,3 +95,104 @@ def test_drag_viscosity_of_any_friction():
     assert drag_viscosity(linear, 3.0) == pytest.approx(2 * math.pi / 15 * 9 * 2.0 / 30, rel=1e-4)
     assert drag_guess(linear, "zeta0", 1.3, 3.0) == pytest.approx(1.3 / (2 * math.pi / 15 * 9 / 30), rel=1e-4)
     assert drag_guess(water, "a", 1.3, 3.0) is None and drag_guess(water, "r_c", 1.3, 3.0) is None
+
+
+HEAVY_AND_COLD = System(1.0, 64.0, 0.25)
+"""Of the same lengths, so that whole calibrations run in the same compiled programs."""
+
+
+def reduced(system, state, frames) -> dict:
+    """Where beads are and how fast, and what they recorded, in reduced units."""
+    speed, stress = system.length / system.time, system.kT / system.length**3
+    return {
+        "position": state.position / system.length,
+        "velocity": state.velocity / speed,
+        "temperature": frames["temperature"] / system.kT,
+        "pressure": frames["pressure_tensor"] / stress,
+        "energy": frames["potential_energy"] / system.kT,
+    }
+
+
+def agree(ours, theirs):
+    for name in theirs:
+        scale = np.max(np.abs(theirs[name]))
+        assert np.max(np.abs(ours[name] - theirs[name])) < 1e-9 * scale, name
+
+
+@pytest.fixture(scope="module")
+def moved(key, simulate, ten):
+    """``moved(system)``: ten sheared steps of 222 beads, in reduced units."""
+
+    @functools.cache
+    def run(system):
+        box, skin = 4.2 * system.length, 0.2 * system.length
+        state = dpd.initial_state(system.water(), key, box=box, density=system.density, skin=skin)
+        after = simulate(system.water(), state, key, 0.01 * system.time, ten, dpd.shear(0.5 / system.time))
+        assert after.final.status == 0
+        return reduced(system, after.final, after.frames)
+
+    return run
+
+
+@pytest.mark.parametrize("name", ["mass 54", "length 6.46", "SI, powers of two"])
+def test_run(moved, name):
+    agree(moved(SYSTEMS[name]), moved(REDUCED))
+
+
+def small_suspension(system, key):
+    units = {"kT": system.kT, "r_c": system.length, "solvent_mass": system.mass, "gamma": GAMMA * system.mass / system.time}
+    box, eta_0 = 6.2 * system.length, 0.9 * system.viscosity
+    return dpd.suspension(key, phi=0.1, box=box, D0=2.0 * system.kT, eta_0=eta_0, sheared=False, report=None, **units)
+
+
+def one_marble(system, key):
+    units = {"kT": system.kT, "r_c": system.length, "solvent_mass": system.mass}
+    frictions = {name: GAMMA * system.mass / system.time for name in ("gamma", "gamma_cs")}
+    return dpd.marbles(key, box=6.0 * system.length, radius=1.5 * system.length, report=None, **units, **frictions)
+
+
+@pytest.mark.parametrize("make", [small_suspension, one_marble])
+def test_spheres(key, simulate, ten, make):
+    """Numbers left out are lengths in r_c and energies in kT, so the same spheres are built and move alike."""
+    found = []
+    for system in (REDUCED, SYSTEMS["SI, powers of two"]):
+        made = make(system, key)
+        after = simulate(made.fluid, made.state, key, made.dt, ten)
+        assert after.final.status == 0
+        found.append({"dt": made.dt / system.time, "mass": np.asarray(made.fluid.mass) / system.mass})
+        found[-1] |= reduced(system, after.final, after.frames)
+    agree(found[1], found[0])
+
+
+@pytest.fixture
+def short_pieces(monkeypatch):
+    monkeypatch.setattr(experiment, "PIECE", dpd.Plan(8, 5))
+
+
+def test_measured_viscosity(key, short_pieces):
+    found = []
+    for system in (REDUCED, HEAVY_AND_COLD):
+        box = 3.0 * system.length
+        measured = measure_viscosity(system.water(), key=key, density=system.density, tolerance=3.0, box=box, boxes=4)
+        estimate = measured.estimate.scaled(1 / system.viscosity)
+        reduced_rate, dt, temperature = measured.rate * system.time, measured.dt / system.time, measured.temperature / system.kT
+        found.append((estimate.value, estimate.error, reduced_rate, dt, temperature))
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+def test_calibration(key, short_pieces):
+    """A whole calibration takes the same way, to the same friction."""
+    found = []
+    for system in (REDUCED, HEAVY_AND_COLD):
+        wish = {"viscosity": 1.5 * system.viscosity, "density": system.density, "box": 3.0 * system.length}
+        fit = calibrate(system.water(), key=key, tolerance=1.0, boxes=4, **wish)
+        gamma = fit.estimate.scaled(system.time / system.mass)
+        found.append((gamma.value, gamma.error, fit.measured.value / system.viscosity, len(fit.history), fit.particle_steps))
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
+def test_numbers_that_float32_cannot_hold():
+    """A moment of inertia of 1e-44 became 0 without a word."""
+    with pytest.raises(ValueError, match="inertia is 1e-44, which float32 cannot hold .*: choose units in which kT"):
+        with jax.enable_x64(False):
+            positive(1e-44, "inertia")

@@ -171,7 +171,8 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
         if estimate.error <= error or spent >= most:
             break
         pieces = planned(len(series), estimate.error / error)
-    _tell_heat(bench, fluid, dt, np.mean(heat))
+    # What short runs of few beads scatter by is no heat.
+    _tell_heat(bench, fluid, dt, np.mean(heat) - 2 * np.std(heat) / math.sqrt(len(heat)))
     count = len(series) * PIECE.frames
     times = dt * PIECE.every * np.arange(1, count + 1)
     values = bench.goal.scale * np.concatenate(series, axis=1)

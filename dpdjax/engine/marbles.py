@@ -76,7 +76,7 @@ class Marbles:
 
 
 def marbles(
-    key, *, box, count: int = 1, radius=3.0, density=3.0, skin=None, dt=None, sheared: bool = False, report=print, **numbers
+    key, *, box, count: int = 1, radius=None, density=None, skin=None, dt=None, sheared: bool = False, report=print, **numbers
 ) -> Marbles:
     """Large spheres that rotate in a solvent, placed at random.
 
@@ -87,8 +87,8 @@ def marbles(
         key: a PRNG key; the same one may drive the run.
         box: one side or three [length], at least ``2 (radius + 1 + skin)``.
         count: number of marbles; of several the box holds ``2 (2 radius + skin)`` at least.
-        radius: of a marble [length].
-        density: solvent beads per volume outside the marbles.
+        radius: of a marble [length]; 3 r_c by default.
+        density: solvent beads per volume outside the marbles; 3/r_c^3 by default.
         skin, dt: as for :func:`dpdjax.initial_state`.
         sheared: leave room in the lists for a tilted box.
         report: told what was made; None for silence.
@@ -99,6 +99,8 @@ def marbles(
     key = prng_key(key)
     if int(count) != count or count < 1:
         raise ValueError(f"count is {count!r}; it must be a whole number of at least 1")
+    r_c = float(positive(numbers.get("r_c", 1.0), "r_c"))
+    radius, density = 3.0 * r_c if radius is None else radius, 3.0 / r_c**3 if density is None else density
     fluid = marble_fluid(radius=radius, density=density, is_several=count > 1, **numbers)
     lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
     space, volume, radii = boxes.box(lengths), float(np.prod(lengths)), np.full(int(count), float(radius))

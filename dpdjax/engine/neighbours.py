@@ -81,6 +81,12 @@ class Grid:
         )
 
 
+def _rounded_up(length: float) -> float:
+    """To hundredths of a length of 1 or more, and of a shorter one to three digits."""
+    unit = 0.01 * 10.0 ** min(0, math.floor(math.log10(length)))
+    return math.ceil(length / unit) * unit
+
+
 def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, room: float = 1.03) -> Grid:
     """A grid for beads spread evenly; clustered beads make it grow later.
 
@@ -100,7 +106,7 @@ def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, 
         raise ValueError(
             f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * cut:.4g}"
             f"{', or 1.118 times that in a box that can tilt' if sheared else ''}; use a side of at least "
-            f"{math.ceil(200 * cut * (np.hypot(1, 0.5) if sheared else 1)) / 100:g} or a smaller skin"
+            f"{_rounded_up(2 * cut * (np.hypot(1, 0.5) if sheared else 1)):g} or a smaller skin"
         )
     all_pairs = Grid(reach, skin, None, 0, 0, 0, sheared, groups)
     few, many = _count(all_pairs.few), _count(all_pairs.many)

@@ -94,9 +94,9 @@ def suspension(
     phi: float,
     box=None,
     colloids: int | None = None,
-    radius=1.0,
+    radius=None,
     spread: float = 0.0,
-    density: float = 3.0,
+    density: float | None = None,
     skin: float | None = None,
     dt: float | None = None,
     sheared: bool = True,
@@ -113,9 +113,9 @@ def suspension(
         phi: volume fraction of the colloids, up to about 0.45.
         box: one side or three [length]; or give ``colloids``, and the box is a cube.
         colloids: number of colloids, instead of the box.
-        radius: of a colloid, or the radii of all of them (colloids,) [length].
+        radius: of a colloid, or the radii of all of them (colloids,) [length]; r_c by default.
         spread: standard deviation of the radius over its mean, Gaussian. Masses go as the cube.
-        density: solvent beads per volume outside the colloids.
+        density: solvent beads per volume outside the colloids; 3/r_c^3 by default.
         skin, dt, sheared: as for :func:`dpdjax.initial_state`.
         report: told what was made; None for silence.
         **numbers: all that :func:`dpdjax.colloid_fluid` takes: kT, gamma, eta_0, D0, ...
@@ -124,6 +124,8 @@ def suspension(
     for the lists.
     """
     key = prng_key(key)
+    r_c = float(positive(numbers.get("r_c", 1.0), "r_c"))
+    radius, density = r_c if radius is None else radius, 3.0 / r_c**3 if density is None else density
     phi, density = (float(positive(x, name)) for x, name in ((phi, "phi"), (density, "density")))
     if phi >= 1:
         raise ValueError(f"phi is {phi:g}; it must be below 1, and can be packed up to about 0.45")

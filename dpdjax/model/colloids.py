@@ -24,15 +24,16 @@ def colloid_fluid(
     gamma=4.5,
     eta_0=0.3,
     D0=0.0,
-    kappa=30.0,
+    kappa=None,
     r0=0.0,
-    radius=1.0,
-    density=3.0,
+    radius=None,
+    density=None,
     r_c=1.0,
+    solvent_mass=1.0,
     repulsion=25.0,
     modulus=1e4,
-    Delta=1e-3,
-    delta=1e-3,
+    Delta=None,
+    delta=None,
     attraction: Term | Sequence[Term] | None = None,
     solvent_repulsion: Callable = colloid_laws.balanced_repulsion,
     contact: Callable = colloid_laws.contact,
@@ -55,13 +56,14 @@ def colloid_fluid(
         kT: thermal energy [energy].
         gamma: friction of every pair [mass/time].
         eta_0: viscosity of the solvent, for lubrication [energy time/volume]: that of this gamma, see ``dpd.calibrate``.
-        D0, kappa, r0: depth [energy], inverse range [1/length] and place [length] of a Morse attraction.
-        radius: of a colloid [length].
-        density: solvent beads per volume; a colloid is as heavy as what it displaces.
+        D0, kappa, r0: depth [energy], inverse range [1/length], 30/r_c by default, and place [length] of a Morse attraction.
+        radius: of a colloid [length]; r_c by default.
+        density: solvent beads per volume, 3/r_c^3 by default; a colloid is as heavy as what it displaces.
         r_c: reach of all forces but the contact's [length].
+        solvent_mass: of a solvent bead [mass].
         repulsion: strength of the soft repulsions ``a r_c`` [kT].
         modulus: contact force ``f`` [kT/r_c].
-        Delta, delta: roughness for contacts, and gap below which lubrication is constant [length].
+        Delta, delta: roughness for contacts, and gap below which lubrication is constant [length]; r_c/1000 by default.
         attraction: one or more potentials of the gap in place of Morse, e.g. ``dpd.term(dpd.asakura_oosawa, ...)``; without it
             for a start, set its depth to zero, e.g. ``fluid.set(phi_p=0.0)``.
         solvent_repulsion: or ``dpd.scripts_repulsion``.
@@ -71,8 +73,11 @@ def colloid_fluid(
 
     Raises ValueError for numbers no fluid can have, and an unknown noise.
     """
-    kT, radius, r_c = not_negative(kT, "kT"), positive(radius, "radius"), positive(r_c, "r_c")
-    eta_0, density = not_negative(eta_0, "eta_0"), positive(density, "density")
+    kT, r_c, solvent_mass = not_negative(kT, "kT"), positive(r_c, "r_c"), positive(solvent_mass, "solvent_mass")
+    radius, eta_0 = positive(r_c if radius is None else radius, "radius"), not_negative(eta_0, "eta_0")
+    density = positive(3.0 / r_c**3 if density is None else density, "density")
+    kappa = 30.0 / r_c if kappa is None else kappa
+    Delta, delta = (1e-3 * r_c if gap is None else gap for gap in (Delta, delta))
     if noise not in ("exact", "literal"):
         raise ValueError(f'noise is {noise!r}; it is "exact" or "literal"')
     if noise == "literal" and lubrication is not colloid_laws.squeezing_lubrication:
@@ -98,7 +103,7 @@ def colloid_fluid(
         interaction((SOLVENT, COLLOID), push, term(colloid_laws.balanced_drag, **rub)),
         interaction((COLLOID, COLLOID), [hard, *map(_of_colloids, attraction)], drag, random),
     ]
-    mass = jnp.stack([jnp.ones_like(density), density * sphere_volume(radius)])
+    mass = jnp.stack(jnp.broadcast_arrays(solvent_mass, solvent_mass * density * sphere_volume(radius)))
     return fluid(interactions=among, kT=kT, mass=mass, radius=(None, radius))
 
 

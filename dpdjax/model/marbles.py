@@ -21,11 +21,12 @@ def marble_fluid(
     coupling: str = FULL,
     a=None,
     gamma_t=None,
-    radius=3.0,
-    density=3.0,
+    radius=None,
+    density=None,
     r_c=1.0,
-    epsilon=1.0,
-    sigma=1.0,
+    solvent_mass=1.0,
+    epsilon=None,
+    sigma=None,
     r_0=None,
     mass=None,
     inertia=None,
@@ -51,25 +52,29 @@ def marble_fluid(
         coupling: ``"full"``, ``"transverse"``, or ``"central"``, which exerts no torque: the marble spins as it started.
         a: soft repulsion of the solvent [energy/length]; none by default.
         gamma_t: transverse friction of the solvent [mass/time]; none by default.
-        radius: of a marble [length].
-        density: solvent beads per volume; a marble is as heavy as what it displaces.
+        radius: of a marble [length]; 3 r_c by default.
+        density: solvent beads per volume, 3/r_c^3 by default; a marble is as heavy as what it displaces.
         r_c: reach of the solvent's forces and of the surface's drag [length].
-        epsilon, sigma, r_0: of the repulsion of a marble and solvent [energy, length, length]; ``r_0`` is ``radius - sigma``
-            by default. Two marbles repel alike, from ``2 radius - sigma`` on.
-        mass, inertia: of a marble; ``4 pi radius^3 density/3`` and ``2/5 mass radius^2`` by default.
+        solvent_mass: of a solvent bead [mass].
+        epsilon, sigma, r_0: of the repulsion of a marble and solvent [energy, length, length]; ``kT``, ``r_c`` and
+            ``radius - sigma`` by default. Two marbles repel alike, from ``2 radius - sigma`` on.
+        mass, inertia: of a marble; ``4 pi radius^3 density solvent_mass/3`` and ``2/5 mass radius^2`` by default.
         is_several: whether there is more than one, so that they need a list of their own.
         attraction, friction: further potentials and frictions between marbles, such as those of ``dpd.colloid_fluid``.
 
     Raises ValueError for numbers no fluid can have, an unknown coupling, forces between marbles of which there is one.
     """
-    kT, radius, r_c = not_negative(kT, "kT"), positive(radius, "radius"), positive(r_c, "r_c")
+    kT, r_c, solvent_mass = not_negative(kT, "kT"), positive(r_c, "r_c"), positive(solvent_mass, "solvent_mass")
+    radius = positive(3.0 * r_c if radius is None else radius, "radius")
     if coupling not in PROJECTORS:
         raise ValueError(f"coupling is {coupling!r}; it is one of {', '.join(PROJECTORS)}")
-    density, sigma = positive(density, "density"), positive(sigma, "sigma")
+    density = positive(3.0 / r_c**3 if density is None else density, "density")
+    sigma = positive(r_c if sigma is None else sigma, "sigma")
+    epsilon = positive(kT, "kT", "or give epsilon=, which is kT by default") if epsilon is None else epsilon
     attraction, friction = several(attraction), several(friction)
     if (attraction or friction) and not is_several:
         raise ValueError("attraction and friction act between marbles: give is_several=True")
-    mass = density * sphere_volume(radius) if mass is None else positive(mass, "mass")
+    mass = solvent_mass * density * sphere_volume(radius) if mass is None else positive(mass, "mass")
     inertia = 0.4 * mass * radius**2 if inertia is None else inertia
     wall = {"epsilon": epsilon, "sigma": sigma}
     among = [
@@ -83,7 +88,7 @@ def marble_fluid(
     if is_several:
         steric = term(shifted_repulsion, r_0=2.0 * radius - sigma, **wall, origin="contact")
         among.append(interaction((COLLOID, COLLOID), [steric, *attraction], friction))
-    masses = jnp.stack([jnp.ones_like(mass), mass])
+    masses = jnp.stack(jnp.broadcast_arrays(solvent_mass, mass))
     return fluid(interactions=among, kT=kT, mass=masses, radius=(None, radius), inertia=(None, inertia))
 
 
