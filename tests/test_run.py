@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
+from dpdjax.engine import chunk
 from dpdjax.engine import neighbours as lists
 from dpdjax.host import io
 
@@ -69,14 +70,21 @@ def test_chunks_are_one_simulation(simulate, water, state, key, sixty):
     assert same_bits(whole.frames, sixty.frames)
 
 
-def test_chunks_divide_the_plan(monkeypatch):
+def test_chunks_hold_a_million_particle_steps_or_fifty_steps(monkeypatch):
     monkeypatch.setattr(host, "CHUNK", 10_000)
-    assert chunk_frames(dpd.Plan(60, 10), 100) == 10
-    assert chunk_frames(dpd.Plan(64, 10), 100) in (8, 16)
-    assert chunk_frames(dpd.Plan(61, 10), 100) == 10, "a prime number of frames has no divisor"
+    assert chunk_frames(dpd.Plan(61, 10), 100) == 10
     assert chunk_frames(dpd.Plan(5, 10), 100) == 5
-    assert chunk_frames(dpd.Plan(5, 50), 100_000) == 2, "a loop of one trip is compiled to other rounding"
-    assert [host.next_chunk(10, left) for left in (61, 11, 10, 3)] == [10, 11, 10, 3], "nor is one frame left over"
+    assert chunk_frames(dpd.Plan(5, 50), 100_000) == 1
+
+
+def test_other_plans_are_the_same_program_and_the_same_run(monkeypatch, run, water, state, key, sixty):
+    compiled = chunk._compiled._cache_size()
+    monkeypatch.setattr(host, "chunk_frames", lambda plan, beads: 25)
+    seldom, often = (dpd.run(water, state, key, DT, dpd.Plan(*n), FLOW, progress=False) for n in ((3, 20), (60, 1)))
+    assert same_bits(seldom.frames, {name: values[3::4] for name, values in sixty.frames.items()})
+    assert same_bits({name: values[4::5] for name, values in often.frames.items()}, sixty.frames)
+    assert same_bits(moved(seldom.final), moved(often.final)) and same_bits(moved(often.final), moved(sixty.final))
+    assert chunk._compiled._cache_size() == compiled
 
 
 def test_list_too_small_from_the_start_is_grown(run, state):

@@ -14,7 +14,7 @@ from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
 from dpdjax.engine.batching import each_member
-from dpdjax.engine.chunk import complete_lists, replayed
+from dpdjax.engine.chunk import complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.flow import quiet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
@@ -289,7 +289,9 @@ def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) ->
 def window_tangents(bench, fluid, name, dt, plan):
     """One window for all boxes, replayed with larger lists where one overflows."""
     for _ in range(8):
-        slopes, after = _tangent(fluid, bench.state, bench.keys, dt, bench.goal.flow, name, plan, bench.goal.observe)
+        trips, shape = trips_of(plan), shape_of(plan, bench.beads)
+        slopes, after = _tangent(fluid, bench.state, bench.keys, dt, bench.goal.flow, trips, name, shape, bench.goal.observe)
+        slopes = slopes[:, : plan.frames]
         status = np.bitwise_or.reduce(np.asarray(after.status))
         if not status:
             bench.state = after
@@ -300,14 +302,14 @@ def window_tangents(bench, fluid, name, dt, plan):
     raise RuntimeError(f"tangent window failed: {bits.describe(status)}")
 
 
-@functools.partial(jax.jit, static_argnames=("name", "plan", "observe"))
-def _tangent(fluid, state, keys, dt, flow, name, plan, observe):
+@functools.partial(jax.jit, static_argnames=("name", "shape", "observe"))
+def _tangent(fluid, state, keys, dt, flow, trips, name, shape, observe):
     """``d value / d ln parameter`` over the frames of a window, (boxes, frames), and the states after it."""
     here = jnp.log(fluid.value(name))
 
     def values(x, state, key):
         moved = fluid.set(**{name: jnp.exp(x)})
-        trajectory = advance(moved, state, key, dt, plan, flow, mean(observe))
+        trajectory = advance(moved, state, key, dt, shape, flow, mean(observe), trips=trips)
         return trajectory.frames["value"], trajectory.final
 
     def one(state, key):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import neighbours as lists
+from dpdjax.engine import order
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import batch_axes, each_member
 from dpdjax.engine.simulate import Plan, advance
@@ -47,18 +48,37 @@ def complete_lists(state: State) -> State:
 def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam=0.5):
     """Run a plan; grow the lists and replay it with the same noise until nothing overflows.
 
-    ``state``, ``key`` and any number may be a batch. Returns (final state, frames); the
-    status of the state holds what growth could not repair.
+    ``state``, ``key`` and any number may be a batch. Returns (final state, frames on the host);
+    the status of the state holds what growth could not repair. Plans share one program as far
+    as :func:`shape_of` goes.
     """
+    shape, trips = shape_of(plan, int(np.prod(state.position.shape[:-1]))), trips_of(plan)
     for _ in range(MAX_GROWTHS):
-        after, frames = _compiled(fluid, dt, flow, lam, state, key, plan, observe)
+        after, frames = _compiled(fluid, dt, flow, lam, state, key, trips, shape, observe)
         status = np.asarray(after.status)
         # A member that failed may overflow any list: it is given up, and decides nothing for the others.
         sound = (status & ~np.uint32(bits.OVERFLOWS)) == 0
         if not np.any(status[sound] & bits.OVERFLOWS):
-            return after, frames
+            break
         state = grow(state, [lists.overflow(n, sound) for n in after.neighbours])
-    return after, frames
+    taken = (slice(None),) * key.ndim + (slice(plan.frames),)
+    return after, jax.tree.map(lambda leaf: leaf[taken], jax.device_get(frames))
+
+
+ROOM, KEPT = 64, 2**22
+"""Frames there is room for in a program at least, or fewer that hold so many beads."""
+
+
+def shape_of(plan: Plan, beads: int) -> Plan:
+    """What of a plan is compiled: room for its frames, a power of two, and how often the beads are sorted."""
+    least = max(1, min(ROOM, KEPT // beads))
+    room = 1 << (max(plan.frames, least) - 1).bit_length()
+    return Plan(room, order.LASTS if plan.every >= order.LASTS else 1)
+
+
+def trips_of(plan: Plan):
+    """The frames of a plan and the steps between two, as numbers given to a program."""
+    return np.int32(plan.frames), np.int32(plan.every)
 
 
 def without_failed(before: State, after: State, frames: dict):
@@ -71,10 +91,10 @@ def without_failed(before: State, after: State, frames: dict):
     return jax.tree.map(lambda old, new: jnp.where(of(new), old, new), before, after), jax.tree.map(blank, frames)
 
 
-@functools.partial(jax.jit, static_argnames=("plan", "observe"))
-def _compiled(fluid, dt, flow, lam, state, key, plan, observe):
+@functools.partial(jax.jit, static_argnames=("shape", "observe"))
+def _compiled(fluid, dt, flow, lam, state, key, trips, shape, observe):
     def one(fluid, dt, flow, state, key):
-        trajectory = advance(fluid, state, key, dt, plan, flow, observe, lam)
+        trajectory = advance(fluid, state, key, dt, shape, flow, observe, lam, trips=trips)
         return trajectory.final, trajectory.frames
 
     if not key.ndim:

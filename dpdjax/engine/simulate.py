@@ -152,8 +152,13 @@ def _judged(trajectory: Trajectory, trouble) -> Trajectory:
     return dataclasses.replace(trajectory, final=final)
 
 
-def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) -> Trajectory:
-    """:func:`simulate` without checks and without the poison."""
+def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False, trips=None) -> Trajectory:
+    """:func:`simulate` without checks and without the poison.
+
+    ``trips``, a pair of whole numbers, are the frames and the steps between two in place of those of the plan, and no
+    part of the program; the plan then gives the room for frames, and whether the beads are sorted before each
+    (``every >= LASTS``). Forward mode goes through, reverse mode does not.
+    """
     flow = flows.quiet() if flow is None else flow
     dtype = state.position.dtype
     fluid, flow, dt, lam = jax.tree.map(lambda x: jnp.asarray(x, dtype), (fluid, flow, dt, lam))
@@ -165,26 +170,51 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False) ->
     def one(state, tally):
         return step(fluid, state, key, dt, flow, lam, tally)
 
+    every = plan.every if trips is None else trips[1]
     ids = state.id
     seen = lambda state: order.in_order_of(state, ids)
 
     def frame(state, _):
         if plan.every >= order.LASTS:
             state = order.in_cell_order(state)
-        state, sums = run_interval(state, one, plan.every, how, fluid, each, seen)
+        state, sums = run_interval(state, one, every, how, fluid, each, seen)
         values = {"step": state.step, "time": state.time}
         view = seen(state)
         for r, s in zip(how, sums):
-            values |= r.value(fluid, view, s, dt, plan.every)
+            values |= r.value(fluid, view, s, dt, every)
         return dataclasses.replace(state, status=state.status | motion.trouble(fluid, state, dt)), values
 
     state = started(fluid, state, key, dt, flow)
     state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
-    final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
+    if trips is None:
+        final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
+    else:
+        final, frames = collected(frame, state, plan.frames, trips[0])
     final = dataclasses.replace(final, status=final.status | list_trouble(fluid, final))
     return Trajectory(seen(final), frames, fluid, flow, dt, plan.every, means=averaged(how, fluid, state))
+
+
+def collected(frame, state, room: int, count):
+    """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program; the frames beyond it, up to ``room``, are 0."""
+    shapes = jax.eval_shape(frame, state, None)[1]
+    empty = jax.tree.map(lambda s: jnp.zeros((room, *s.shape), s.dtype), shapes)
+
+    def body(k, carry):
+        state, frames = carry
+        state, values = frame(state, None)
+        put = lambda kept, value: jax.lax.dynamic_update_index_in_dim(kept, value, k, 0)
+        return state, jax.tree.map(put, frames, values)
+
+    return jax.lax.fori_loop(0, count, body, (state, empty))
+
+
+def repeated(body, carry, times):
+    """``body`` applied ``times`` times, a number of the program or one given to it."""
+    if isinstance(times, int):
+        return jax.lax.scan(lambda carry, _: (body(carry), None), carry, length=times)[0]
+    return jax.lax.fori_loop(0, times, lambda _, carry: body(carry), carry)
 
 
 def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen):
@@ -197,13 +227,13 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
         view = seen(state)
         return [r.add(s, fluid, view) for r, s in zip(how, sums)]
 
-    def body(carry, _):
+    def body(carry):
         state, sums = carry
         state = one(state, each)
-        return (state, add(sums, state)), None
+        return state, add(sums, state)
 
     zeros = [r.zero(fluid, state) for r in how]
-    (state, sums), _ = jax.lax.scan(body, (state, zeros), length=every - 1)
+    state, sums = repeated(body, (state, zeros), every - 1)
     state = one(state, True)
     return state, add(sums, state)
 

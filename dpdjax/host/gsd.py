@@ -11,7 +11,7 @@ from dpdjax.engine.observables import rotations, standard
 from dpdjax.engine.simulate import Plan, Trajectory, check_kinds, check_plan, check_run
 from dpdjax.engine.state import inertias, masses, radii
 from dpdjax.host.io import refuse_existing
-from dpdjax.host.run import next_chunk, run
+from dpdjax.host.run import run
 
 DRAWN_RADIUS = 0.5
 """Radius of beads that are points, for drawing alone [length]."""
@@ -150,15 +150,12 @@ def run_to_gsd(
     mode = _mode(path, overwrite, append)
     if mode == "r+":
         _check_follows(path, fluid, state)
-    # Pieces of one length are one program, and of one frame another: its loop is compiled to other rounding.
-    piece = max(2, piece)
-    even = [size for size in range(2, 2 * piece) if plan.frames % size == 0]
-    piece = min(even, key=lambda size: abs(size - piece), default=piece)
+    piece = max(1, piece)
     pieces, done, start = [], 0, state
     with contextlib.ExitStack() as stack:
         bar, write = stack.enter_context(tqdm(total=plan.frames, unit="frame", disable=not progress)), None
         while done < plan.frames:
-            part = Plan(next_chunk(piece, plan.frames - done), plan.every)
+            part = Plan(min(piece, plan.frames - done), plan.every)
             around = done, plan.frames - done - part.frames
             ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False, around=around)
             # Opened when there is something to write: a run that is refused, or ends at once, leaves an old file as it was.

@@ -77,9 +77,9 @@ def run(
     bar = tqdm(total=plan.steps, unit="step", disable=not progress, mininterval=0.5)
     try:
         while done < plan.frames:
-            chunk = Plan(next_chunk(size, plan.frames - done), plan.every)
+            chunk = Plan(min(size, plan.frames - done), plan.every)
             after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam)
-            lost, frames = after.status, jax.device_get(frames)
+            lost = after.status
             if key.ndim:
                 after, frames = without_failed(state, after, frames)
             last = int(np.max(state.step))
@@ -101,18 +101,8 @@ def run(
 
 
 def chunk_frames(plan: Plan, beads: int) -> int:
-    """Frames in a chunk: about ``CHUNK`` particle-steps or ``LEAST`` steps, a divisor of the plan where one is near.
-
-    At least two where there are two: XLA compiles a loop of one trip to other rounding.
-    """
-    aim = max(2, min(plan.frames, round(max(CHUNK / beads, LEAST) / plan.every)))
-    near = [d for d in range(max(2, aim // 2), min(plan.frames, 2 * aim) + 1) if plan.frames % d == 0]
-    return min(near, key=lambda d: abs(d - aim)) if near else aim
-
-
-def next_chunk(size: int, left: int) -> int:
-    """``size`` frames, or all that is left where that would leave a single one."""
-    return left if left <= size + 1 else size
+    """Frames in a chunk: about ``CHUNK`` particle-steps or ``LEAST`` steps."""
+    return max(1, min(plan.frames, round(max(CHUNK / beads, LEAST) / plan.every)))
 
 
 def _failed(before: dict, status, numbers, when: str) -> dict[int, str]:
