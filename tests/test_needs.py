@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 import dpdjax as dpd
 from dpdjax.engine.box import wrap
+from dpdjax.engine.flow import quiet
 from dpdjax.measure.needs import warn_of_drift
 
 
@@ -78,3 +79,54 @@ def test_displacements_in_a_tilted_box_are_those_of_the_lattice(fresh, batch):
     state = dataclasses.replace(state, position=position, image=state.image + crossed)
     state = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state) if batch else state
     np.testing.assert_allclose(state.unwrapped, np.broadcast_to(moved, state.position.shape), atol=1e-12)
+
+
+def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
+    """After a thousand sides a single-precision position moved by half as much again."""
+    rng = np.random.default_rng(3)
+    lengths, steps = np.asarray(fresh.box.lengths), 1e-3 * rng.normal(size=(40, fresh.n, 3))
+    walk = np.asarray(fresh.position, float) + np.cumsum(steps, axis=0)
+    turns = np.floor(walk / lengths)
+    frames = {"position": (walk - turns * lengths).astype(np.float32), "image": turns.astype(np.int32), "strain": np.zeros(40)}
+    measured = {}
+    for far in (0, 100_000):
+        image = frames["image"] + far
+        unwrapped = (frames["position"] + image * lengths.astype(np.float32)).astype(np.float32)
+        record = frames | {"time": np.arange(40.0), "step": np.arange(40), "image": image, "unwrapped": unwrapped}
+        run = dpd.Trajectory(fresh, record, ideal, quiet(), 1.0)
+        measured[far] = dpd.mean_squared_displacement(run, t_max=4.0).value
+    np.testing.assert_allclose(measured[100_000], measured[0], rtol=1e-9)
+    np.testing.assert_allclose(measured[0][1:], 3e-6 * np.arange(1, 5), rtol=0.1)
+
+
+def test_what_is_no_run_is_told(fresh, water):
+    for given in ({"frames": 1}, fresh, water):
+        for measure in (dpd.shear_viscosity, dpd.mean_squared_displacement, dpd.radial_distribution):
+            if measure is dpd.radial_distribution and given is not fresh:
+                continue
+            with pytest.raises((TypeError, ValueError), match="this measures a run, and was given a|positions"):
+                measure(given)
+    with pytest.raises(ValueError, match="recorded no frame: it was interrupted"):
+        dpd.shear_viscosity(dpd.Trajectory(fresh, {}, water, dpd.shear(0.1), 0.01))
+
+
+def test_failed_and_hot_runs_are_told(water, fresh):
+    rng = np.random.default_rng(5)
+    stress = {"pressure_tensor": rng.normal(size=(200, 3, 3)) - 0.1}
+    with pytest.warns(UserWarning, match="the beads were at 5 where kT is 1"):
+        dpd.shear_viscosity(synthetic(water, fresh, dpd.shear(0.1), temperature=np.full(200, 5.0), **stress))
+    stress["pressure_tensor"][70] = np.nan
+    with pytest.raises(ValueError, match="'pressure_tensor' holds NaN .*survivors"):
+        dpd.shear_viscosity(synthetic(water, fresh, dpd.shear(0.1), **stress))
+
+
+def test_a_block_average_refuses_what_it_cannot_average():
+    with pytest.raises(ValueError, match=r"shape \(40, 3, 3\); give \(frames,\) or \(replicas, frames\), of a tensor one component"):
+        dpd.block_average(np.ones((40, 3, 3)))
+    with pytest.raises(ValueError, match="holds NaN or infinity"):
+        dpd.block_average([1.0, np.nan, 2.0, 3.0])
+
+
+def test_measures_have_no_derivative():
+    with pytest.raises(TypeError, match="no derivative|numbers of the host"):
+        jax.jvp(lambda x: dpd.block_average(x).value, (jnp.ones(8),), (jnp.ones(8),))

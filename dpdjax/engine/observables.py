@@ -93,8 +93,12 @@ def stresses(fluid, state) -> dict:
 
 
 def positions(fluid, state) -> dict:
-    """Wrapped and unwrapped positions and velocities, for structure and diffusion."""
-    return {"position": state.position, "unwrapped": state.unwrapped, "velocity": state.velocity}
+    """Wrapped and unwrapped positions, images, velocities, and the ``strain`` of the box, for structure and diffusion.
+
+    Measures unwrap by the images, in double precision: far from where it began a bead's single one moves in jumps.
+    """
+    of_beads = {"position": state.position, "unwrapped": state.unwrapped, "velocity": state.velocity, "image": state.image}
+    return of_beads | {"strain": state.box.strain}
 
 
 @functools.cache
@@ -107,7 +111,7 @@ def positions_of(species: int):
 
     def positions_of_species(fluid, state) -> dict:
         begin, end = _slots(fluid, state, species)
-        return {name: x[begin:end] for name, x in positions(fluid, state).items()} | {"strain": state.box.strain}
+        return {name: x if name == "strain" else x[begin:end] for name, x in positions(fluid, state).items()}
 
     return positions_of_species
 

@@ -5,12 +5,54 @@ import warnings
 import numpy as np
 from scipy.stats import kendalltau
 
+from dpdjax.checks import is_concrete
 from dpdjax.engine.flow import Flow
 
 RARELY = 1e-3
 """How often a stationary series is told to drift."""
 PIECES = 10
 """Stretches of a series whose means are looked at for a trend: longer than the series remembers."""
+
+
+WARM = 0.05
+"""Share of kT by which the kinetic temperature of a run may be off before a measure says so."""
+
+
+def finished(trajectory):
+    """Raise unless this is a run, of known numbers, that recorded a frame.
+
+    Raises TypeError for what is no trajectory and for numbers that are being traced, ValueError for a run without frames.
+    """
+    if not hasattr(trajectory, "frames"):
+        raise TypeError(f"this measures a run, and was given a {type(trajectory).__name__}; give what dpd.run(...) returns")
+    if not is_concrete(trajectory.frames):
+        raise TypeError(
+            "measures work on numbers of the host and have no derivative: inside jit, vmap or grad take a mean of "
+            "trajectory.frames by jax.numpy, and measure outside"
+        )
+    if not trajectory.frames:
+        raise ValueError("the run recorded no frame: it was interrupted before the first; run it again")
+
+
+def finite(frames: dict):
+    """Raise ValueError, naming it, where something recorded is not finite."""
+    for name, values in frames.items():
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"{name!r} holds NaN or infinity: the run failed, see trajectory.failed and trajectory.survivors")
+
+
+def warn_of_heat(trajectory, frames: dict):
+    """Warns where the kinetic temperature that was recorded is not that of the fluid."""
+    if "temperature" not in frames:
+        return
+    kT = float(np.mean(np.asarray(trajectory.fluid.kT, float)))
+    measured = float(np.mean(frames["temperature"]))
+    if kT > 0 and abs(measured / kT - 1.0) > WARM:
+        warnings.warn(
+            f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of that temperature: "
+            "use a smaller shear rate or dt, or leave out more of the start, skip=...",
+            stacklevel=3,
+        )
 
 
 def equilibrium(trajectory, measure: str):

@@ -5,6 +5,8 @@ import math
 
 import numpy as np
 
+from dpdjax.checks import is_concrete
+
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
@@ -60,9 +62,16 @@ def block_average(series, blocks: int = 20) -> Estimate:
         blocks: pieces in all, each longer than the correlation time. Fewer where the
             error still grows when neighbouring pieces are merged (Flyvbjerg & Petersen 1989).
 
-    Raises ValueError for fewer than 4 values.
+    Raises ValueError for fewer than 4 values, values that are not finite, and more than two axes; TypeError for values that
+    are being traced.
     """
+    if not is_concrete(series):
+        raise TypeError("block_average works on numbers of the host: inside jit, vmap or grad take jnp.mean, and average outside")
     series = np.atleast_2d(np.asarray(series, float))
+    if series.ndim > 2:
+        raise ValueError(f"the series has shape {series.shape}; give (frames,) or (replicas, frames), of a tensor one component")
+    if not np.all(np.isfinite(series)):
+        raise ValueError("the series holds NaN or infinity: the run failed, or a frame has no such number")
     replicas, frames = series.shape
     per_replica = max(1, min(frames, blocks // replicas))
     if replicas * per_replica < 4:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import box as boxes
+from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan
 from dpdjax.measure.statistics import Estimate
 
@@ -134,12 +135,24 @@ def recorded(trajectory, name: str, *, sheared: bool = False, observe: str = "dp
 
     Raises ValueError where the run did not record ``name``, failed, scans over numbers, or was sheared, unless such a one will do.
     """
+    needs.finished(trajectory)
     if not sheared and np.any(np.asarray(trajectory.flow.rate) != 0):
         raise ValueError("the run was sheared: its box changes from frame to frame; measure this without shear")
     if name not in trajectory.frames:
         raise ValueError(f"the run recorded no {name!r} but {', '.join(trajectory.frames)}; use observe={observe}")
     refuse_scan(trajectory)
-    return as_frames(trajectory.frames[name], name, components)
+    values = _followed(trajectory) if name == "unwrapped" and "image" in trajectory.frames else trajectory.frames[name]
+    return as_frames(values, name, components)
+
+
+def _followed(trajectory) -> np.ndarray:
+    """Positions followed through the images since the first frame, (..., frames, n, 3), in double precision."""
+    position, image, strain = (np.asarray(trajectory.frames[name]) for name in ("position", "image", "strain"))
+    turns = (image - image[..., :1, :, :]).astype(float)
+    lengths = np.asarray(trajectory.final.box.lengths, float)[..., None, None, :]
+    moved = position + turns * lengths
+    moved[..., 0] += strain[..., None] * lengths[..., 1] * turns[..., 1]
+    return moved
 
 
 def as_frames(values, name: str, components: int = 3) -> np.ndarray:

@@ -50,11 +50,11 @@ def shear_viscosity(trajectory, *, skip: float = 0.1, blocks: int = 20, control:
 
     Raises ValueError for a run without shear, or a batch that scans over numbers.
     """
+    needs.finished(trajectory)
     rate = _one_rate(trajectory)
     frames = _later(trajectory, skip, need="pressure_tensor")
     series = -frames["pressure_tensor"][..., 0, 1] / rate
-    drifting = {name: frames[name] for name in ("temperature", "potential_energy") if name in frames}
-    needs.warn_of_drift({"viscosity": series} | drifting)
+    needs.warn_of_drift({"viscosity": series})
     if control and "pressure_random" in frames:
         series = controlled(series, -frames["pressure_random"][..., 0, 1] / rate, blocks)
     return block_average(series, blocks)
@@ -111,6 +111,7 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
 
     Raises ValueError for a run that was driven.
     """
+    needs.finished(trajectory)
     needs.equilibrium(trajectory, "the Green-Kubo viscosity")
     frames = _later(trajectory, skip, need="flux")
     dt, volume, kT = _constants(trajectory)
@@ -148,6 +149,7 @@ def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: flo
 
     Raises ValueError for a run that was driven.
     """
+    needs.finished(trajectory)
     needs.equilibrium(trajectory, "the Einstein-Helfand viscosity")
     frames = _later(trajectory, skip, need="flux_integral")
     dt, volume, kT = _constants(trajectory)
@@ -230,12 +232,17 @@ def _one_rate(trajectory) -> float:
 
 def _later(trajectory, skip, need=None) -> dict:
     """Frames after the first ``skip`` share of them."""
+    needs.finished(trajectory)
     if need is not None and need not in trajectory.frames:
         raise ValueError(f"the run recorded no {need!r}; use observe={RECORD_OF[need]}")
     axis = 1 if trajectory.is_batch else 0
     count = np.shape(trajectory.frames["time"])[axis]
     first = int(skip * count)
-    return {k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:] for k, v in trajectory.frames.items()}
+    frames = {k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:] for k, v in trajectory.frames.items()}
+    needs.finite(frames)
+    needs.warn_of_heat(trajectory, frames)
+    needs.warn_of_drift({name: frames[name] for name in ("temperature", "potential_energy", "wave_velocity") if name in frames})
+    return frames
 
 
 def _constants(trajectory):
