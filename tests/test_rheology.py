@@ -171,7 +171,7 @@ def test_a_run_knows_its_means(water_in_oscillation, water, fresh, key):
     assert dpd.moduli(water_in_oscillation, averaged=False).storage.value != by_hand.storage.value
     keys, frequency = jax.random.split(key, 2), jnp.array([SLOW, 2 * SLOW])
     flow = dpd.oscillatory_shear(AMPLITUDE, frequency)
-    observe = [dpd.mean(dpd.momentum), dpd.standard]
+    observe = [dpd.mean(dpd.momentum), dpd.stresses]
     scan = dpd.run(water.set(kT=jnp.array([1.0, 2.0])), fresh, keys, DT, dpd.Plan(2, 2), flow, observe=observe, progress=False)
     assert [m.means for m in scan.members()] == [("momentum",), ("momentum",)]
     assert dpd.simulate(water, fresh, key, DT, dpd.Plan(1), observe=observe).means == ("momentum",)

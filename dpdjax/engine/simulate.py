@@ -310,7 +310,7 @@ def check_finite(state):
     """Refuse positions or velocities that are not finite, of one state or a batch, and name the first such bead."""
     for name in ("position", "velocity"):
         values = getattr(state, name)
-        if not is_concrete(values) or bool(jnp.all(jnp.isfinite(values))):
+        if not is_concrete(values) or np.all(np.isfinite(np.asarray(values))):
             continue
         where = np.argwhere(~np.all(np.isfinite(np.asarray(values)), axis=-1))[0]
         member = f" of member {where[0]}" if len(where) == 2 else ""
