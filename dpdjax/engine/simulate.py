@@ -290,7 +290,9 @@ def check_run(fluid, state, key, dt, flow):
     if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
         flows.check_tilt(state)
     if flow is not None:
-        flow.check(fluid, state)
+        # What is known is judged now, inside a program that is being traced too.
+        with jax.ensure_compile_time_eval():
+            flow.check(fluid, state)
 
 
 def check_kinds(fluid, state):
