@@ -121,7 +121,8 @@ def test_failed_and_hot_runs_are_told(water, fresh):
 
 
 def test_a_block_average_refuses_what_it_cannot_average():
-    with pytest.raises(ValueError, match=r"shape \(40, 3, 3\); give \(frames,\) or \(replicas, frames\), of a tensor one component"):
+    told = r"shape \(40, 3, 3\); give \(frames,\) or \(replicas, frames\), of a tensor one component"
+    with pytest.raises(ValueError, match=told):
         dpd.block_average(np.ones((40, 3, 3)))
     with pytest.raises(ValueError, match="holds NaN or infinity"):
         dpd.block_average([1.0, np.nan, 2.0, 3.0])

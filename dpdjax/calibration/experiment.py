@@ -21,6 +21,7 @@ from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.simulate import Plan, advance, check_dt
 from dpdjax.engine.start import initial_state
 from dpdjax.engine.state import grow
+from dpdjax.measure.needs import HOT, WARM
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
 from dpdjax.model.laws import central_drag
@@ -178,10 +179,6 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     values = bench.goal.scale * np.concatenate(series, axis=1)
     rate, temperature = float(bench.goal.flow.rate), float(np.mean(heat))
     return Measurement(estimate, values, times, dt, rate, bench.steps, temperature=temperature)
-
-
-HOT, WARM = 0.25, 0.05
-"""Excess of the kinetic temperature over kT that a measurement refuses, and that it warns of: ``suggest_rate`` allows 0.03."""
 
 
 def _tell_heat(bench, fluid, dt, temperature):

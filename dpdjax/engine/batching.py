@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 def on_cpu() -> bool:
@@ -26,6 +27,26 @@ def apart(function, inputs, number):
 def batch_axes(fluid, dt, flow):
     """The ``in_axes`` for ``jax.vmap`` of the numbers of a run: 0 for those with an axis of their own, which are a batch."""
     return fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes()
+
+
+def differing(fluid, dt, flow) -> dict:
+    """The numbers of a run that differ from member to member, by their innermost name: (members, ...) each, known values."""
+    numbers, found = (fluid, dt, flow), {}
+
+    def note(path, axis, values):
+        if axis is not None and np.ptp(np.asarray(values), axis=0).any():
+            names = [getattr(key, "name", getattr(key, "key", None)) for key in path]
+            found[[name for name in names if name is not None][-1]] = np.asarray(values)
+
+    named = [dict(zip(("fluid", "dt", "flow"), trees)) for trees in (batch_axes(*numbers), numbers)]
+    jax.tree_util.tree_map_with_path(note, *named, is_leaf=lambda axis: axis is None)
+    return found
+
+
+def chosen(tree, axes, which):
+    """The members ``which`` of a batch of numbers; ``axes``, a prefix of the tree, are 0 for what is a batch, else None."""
+    own = lambda axis, part: part if axis is None else jax.tree.map(lambda leaf: leaf[which], part)
+    return jax.tree.map(own, axes, tree, is_leaf=lambda axis: axis is None)
 
 
 def each_member(function, axes=0):

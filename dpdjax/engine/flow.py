@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
+from dpdjax.engine.batching import chosen
 
 
 class Flow:
@@ -289,7 +290,7 @@ def check_answers(flow, fluid, state) -> None:
     kind, dtype = type(flow).__name__, state.position.dtype
     if not hasattr(flow, "rate"):
         raise TypeError(f"{kind} has no rate; give it one, rate = 0.0 where it does not shear")
-    flow = jax.tree.map(lambda x: jnp.asarray(x, dtype), member_of(flow))
+    flow = jax.tree.map(lambda x: jnp.asarray(x, dtype), chosen(flow, flow.batch_axes(), 0))
     turning = 0 if state.rotation is None else state.rotation.m
     mass = jnp.ones((state.n, 1), dtype)
     answers = {
@@ -300,12 +301,6 @@ def check_answers(flow, fluid, state) -> None:
     }
     for name, (answer, shape) in answers.items():
         _check_answer(f"{name} of {kind}", answer, shape, dtype, is_concrete(flow, state))
-
-
-def member_of(flow):
-    """The first flow of a batch, or the flow itself."""
-    pick = lambda axis, part: part if axis is None else jax.tree.map(lambda x: x[0], part)
-    return jax.tree.map(pick, flow.batch_axes(), flow, is_leaf=lambda axis: axis is None)
 
 
 def _check_answer(what: str, answer: Callable, shape, dtype, concrete: bool) -> None:

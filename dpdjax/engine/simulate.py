@@ -11,7 +11,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import advice, motion, order, soundness
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
-from dpdjax.engine.batching import batch_axes
+from dpdjax.engine.batching import batch_axes, chosen
 from dpdjax.engine.record import Recorder, averaged, check_names, recorders
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
@@ -84,16 +84,15 @@ class Trajectory:
         if not self.is_batch:
             raise TypeError("this trajectory is no batch and has no members to choose from; its frames are in .frames")
         members = self.final.position.shape[0]
-        chosen = np.arange(members)[which]
-        if np.ndim(chosen) > 1 or not np.size(chosen):
+        slots = np.arange(members)[which]
+        if np.ndim(slots) > 1 or not np.size(slots):
             raise IndexError(f"{which!r} chooses no members of the {members} of this batch; give a number, a slice or a list")
         numbers = self.fluid, self.dt, self.flow
-        take = lambda tree: jax.tree.map(lambda leaf: leaf[chosen], tree)
-        own = lambda axis, part: part if axis is None else take(part)
-        fluid, dt, flow = jax.tree.map(own, batch_axes(*numbers), numbers, is_leaf=lambda axis: axis is None)
-        failed = tuple((k, why) for k, member in enumerate(np.ravel(chosen)) for n, why in self.failed if n == member)
-        new = {"final": take(self.final), "frames": take(self.frames), "fluid": fluid, "flow": flow, "dt": dt}
-        complete = self.complete and not (failed and np.ndim(chosen) == 0)
+        fluid, dt, flow = chosen(numbers, batch_axes(*numbers), slots)
+        final, frames = chosen((self.final, self.frames), 0, slots)
+        failed = tuple((k, why) for k, member in enumerate(np.ravel(slots)) for n, why in self.failed if n == member)
+        new = {"final": final, "frames": frames, "fluid": fluid, "flow": flow, "dt": dt}
+        complete = self.complete and not (failed and np.ndim(slots) == 0)
         return dataclasses.replace(self, **new, complete=complete, failed=failed)
 
     @property

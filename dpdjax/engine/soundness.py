@@ -15,6 +15,7 @@ import numpy as np
 
 from dpdjax.checks import is_concrete
 from dpdjax.engine import status as bits
+from dpdjax.engine.batching import chosen
 from dpdjax.engine.forces import evaluate
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid, Interaction
@@ -71,7 +72,7 @@ def check_laws(fluid: Fluid, state=None):
         # Members that do not agree on their number are told of elsewhere.
         if len(lengths) > 1 or not np.any(_faults(fluid, sizes) if lengths else survey(fluid, sizes)[1]):
             return
-        members = [_member(fluid, k) for k in range(lengths.pop())] if lengths else [fluid]
+        members = [chosen(fluid, fluid.batch_axes(), k) for k in range(lengths.pop())] if lengths else [fluid]
         for k, member in enumerate(members):
             for n in range(len(member.interactions)):
                 _refuse(member, n, sizes, f" of member {k}" if len(members) > 1 else "")
@@ -229,8 +230,3 @@ def _written(term: Term) -> str:
 
 def _batched(fluid):
     return jax.tree.map(lambda axis, leaf: leaf if axis == 0 else None, fluid.batch_axes(), fluid, is_leaf=lambda x: x is None)
-
-
-def _member(fluid: Fluid, k: int) -> Fluid:
-    own = lambda axis, leaf: leaf if axis is None else leaf[k]
-    return jax.tree.map(own, fluid.batch_axes(), fluid, is_leaf=lambda x: x is None)

@@ -42,7 +42,7 @@ def gsd_writer(path, fluid, state, mode: str = "x"):
 
     Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids. Diameters, masses and the
     box with its tilt are written too; positions are centred, and velocities those of the lab where the flow is given.
-    Images unwrap positions where there is no shear. Beads that rotate have their orientation, moment of inertia and angular
+    Images unwrap positions where the strain stays as it is. Beads that rotate have their orientation, moment of inertia and angular
     momentum, as HOOMD-blue means them; the others are not turned.
 
     Args:

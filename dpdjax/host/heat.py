@@ -6,9 +6,8 @@ import jax
 import numpy as np
 
 from dpdjax.engine.observables import temperature
+from dpdjax.measure.needs import HOT
 
-HOT = 0.25
-"""Excess of the kinetic temperature over kT from which a run is told to be hot."""
 FLUCTUATIONS = 5.0
 """Standard deviations of the temperature of few beads that are no excess."""
 

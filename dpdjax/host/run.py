@@ -12,7 +12,7 @@ from dpdjax.checks import prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
-from dpdjax.engine.batching import batch_axes
+from dpdjax.engine.batching import batch_axes, differing
 from dpdjax.engine.chunk import batched, complete_lists, replayed, without_failed
 from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
@@ -63,7 +63,8 @@ def run(
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
     check_plan(plan)
     check_run(fluid, one, key, dt, flow)
-    check_finite(state)
+    if key.ndim:
+        check_finite(state)
     for caution in cautions(fluid, state, dt, plan):
         warnings.warn(caution, stacklevel=2)
     _check_members(fluid, dt, flow, key)
@@ -115,22 +116,8 @@ def _failed(before: dict, status, numbers, when: str) -> dict[int, str]:
 
 def _named(member: int, numbers) -> str:
     """A member with those of its numbers that differ from member to member."""
-    named = {}
-
-    def note(path, axis, values):
-        if axis is not None and np.ptp(np.asarray(values), axis=0).any():
-            named[_name(path)] = np.asarray(values)[member]
-
-    trees = [dict(zip(("fluid", "dt", "flow"), parts)) for parts in (batch_axes(*numbers), numbers)]
-    jax.tree_util.tree_map_with_path(note, *trees, is_leaf=lambda axis: axis is None)
-    own = ", ".join(f"{name} = {np.array2string(value, precision=6)}" for name, value in named.items())
+    own = ", ".join(f"{name} = {np.array2string(values[member], precision=6)}" for name, values in differing(*numbers).items())
     return f"member {member}" + (f" ({own})" if own else "")
-
-
-def _name(path) -> str:
-    """Of a number in a tree, the innermost name on the way to it."""
-    names = [getattr(key, "name", getattr(key, "key", None)) for key in path]
-    return [name for name in names if name is not None][-1]
 
 
 def _check_members(fluid, dt, flow, key):

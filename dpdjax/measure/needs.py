@@ -14,8 +14,8 @@ PIECES = 10
 """Stretches of a series whose means are looked at for a trend: longer than the series remembers."""
 
 
-WARM = 0.05
-"""Share of kT by which the kinetic temperature of a run may be off before a measure says so."""
+HOT, WARM = 0.25, 0.05
+"""Shares of kT by which the kinetic temperature may be off before a run or a calibration objects, and before a measure says so."""
 
 
 def finished(trajectory):
