@@ -15,7 +15,7 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.rotation import Rotation, axis_of, turn_by
 from dpdjax.engine.state import inertias, masses
-from dpdjax.model import term as terms
+from dpdjax.model import declare
 
 DT, R, GAMMA, GAMMA_CS, GAMMA_T = 5e-3, 1.5, 5.0, 8.0, 3.0
 COUPLINGS = ("central", "transverse", "full")
@@ -516,7 +516,7 @@ def test_what_cannot_rotate(marbled, settled, key, water, fresh):
 
 
 def test_projectors_have_names():
-    assert terms.PROJECTORS == COUPLINGS
+    assert declare.PROJECTORS == COUPLINGS
 
 
 # ---------------------------------------------------------------------------- advice

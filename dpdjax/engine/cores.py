@@ -12,14 +12,14 @@ HARD, STEEP = 1e3, 20.0
 """A potential is a core where it reaches this energy [kT], and falls by this factor from contact to half of its reach."""
 
 
-def closest(fluid: Fluid, only_cores: bool = False) -> np.ndarray:
-    """Gaps (species, species) beyond which the energy of a pair stays below ``START_ENERGY`` kT [length].
+def closest(fluid: Fluid, only_cores: bool = False, most: float = START_ENERGY) -> np.ndarray:
+    """Gaps (species, species) beyond which the energy of a pair stays below ``most`` kT [length].
 
     ``only_cores``: of potentials that diverge; 0 for others.
     """
     found, kT = np.zeros((fluid.species, fluid.species)), float(fluid.kT)
     for species, gaps, energy in _surveyed(fluid):
-        apart = _low_from(gaps, energy, kT)
+        apart = _low_from(gaps, energy, most * kT)
         apart = np.where(_is_core(gaps, energy, kT), apart, 0.0) if only_cores else apart
         for (a, b), gap in zip(species, apart):
             found[a, b] = found[b, a] = max(found[a, b], gap)
@@ -39,9 +39,9 @@ def start_radii(fluid: Fluid) -> np.ndarray:
     return radii
 
 
-def _low_from(gaps, energy, kT):
+def _low_from(gaps, energy, most):
     """Of each kind (kinds,) the sampled gap next to the widest one at which the energy is high."""
-    high = energy > START_ENERGY * kT
+    high = energy > most
     inner = np.max(np.where(high, gaps, 0.0), axis=1, keepdims=True)
     outer = np.min(np.where(gaps > inner, gaps, np.inf), axis=1)
     return np.where(high.any(1), np.where(np.isfinite(outer), outer, inner[:, 0]), 0.0)

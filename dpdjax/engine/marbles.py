@@ -107,7 +107,8 @@ def marbles(
     free = volume - float(sphere_volume(radii).sum())
     if free <= 0:
         raise ValueError(f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; use a larger box")
-    clearance = float(closest(fluid)[SOLVENT, COLLOID])
+    # Outside the wall, where its energy is at most kT.
+    clearance = float(closest(fluid, most=1.0)[SOLVENT, COLLOID])
     counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
     dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
     grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)
