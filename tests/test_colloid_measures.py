@@ -171,9 +171,11 @@ def test_the_gap_of_a_fluid_with_a_range():
     assert contact_number(run(attraction=depletion)).gap == pytest.approx(0.2 * (1 - 0.1**0.5))
     charged = dpd.term(dpd.yukawa, epsilon=1.0, kappa=15.0)
     scan = dpd.colloid_fluid(radius=0.5).set(kappa=np.array([15.0, 20.0]))
-    for what in (run(attraction=charged), recorded(apart(0.1), fluid=scan), one_frame(apart(0.1))):
+    for what in (run(attraction=charged), one_frame(apart(0.1))):
         with pytest.raises(ValueError, match="no gap is given.*give gap"):
             contact_number(what)
+    with pytest.raises(ValueError, match="differ in kappa"):
+        contact_number(recorded(apart(0.1), fluid=scan))
 
 
 # Structure factor.
@@ -488,16 +490,23 @@ def spoiled(**changes):
     "run, message",
     [
         (spoiled(frames={"temperature": np.ones(3)}), "no 'position' but temperature; use observe=dpd.positions"),
-        (spoiled(flow=dpd.shear(0.1)), "sheared and recorded no 'strain'.*record it"),
+        (spoiled(flow=dpd.shear(0.1)), "sheared, and the tilt of the box.*record it too"),
         (spoiled(final__species=np.zeros(50, int)), "no bead is of species 1"),
-        (spoiled(fluid__radius=(0.5, None)), "species 1 has no radius"),
+        (spoiled(fluid__radius=(None, None)), "this fluid has no spheres.*give one"),
+        (spoiled(fluid__radius=(0.5, 0.5)), "species 0, 1 are spheres; name one"),
         (spoiled(frames={"position": thrown(3, 7), "time": np.arange(3)}), "7 of its 50 beads, not the 20 to be measured"),
         (spoiled(final__box__lengths=np.stack([SIDES, 2 * SIDES])), r"different boxes; .*members\(\)"),
     ],
 )
 def test_wrong_runs(run, message):
-    with pytest.raises(ValueError, match=message):
-        spheres(run)
+    for measure in (spheres, lambda run: contact_number(run, gap=0.1)):
+        with pytest.raises(ValueError, match=message):
+            measure(run)
+
+
+def test_a_species_that_is_no_sphere():
+    with pytest.raises(ValueError, match="species 0 has no radius.*spheres are of species 1"):
+        spheres(two_species(), species=0)
 
 
 def test_wrong_partial_runs():
@@ -555,8 +564,6 @@ def test_wrong_arguments(measure, arguments, message):
 
 
 def test_more_wrong_arguments():
-    with pytest.raises(ValueError, match="tilted.*without shear"):
-        structure_factor(one_frame(thrown(4), strain=0.2))
     with pytest.raises(ValueError, match="one sphere has no pairs"):
         pair_distribution(one_frame(thrown(1)))
     with pytest.raises(ValueError, match="evenly spaced"):

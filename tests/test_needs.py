@@ -95,7 +95,7 @@ def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
         record = frames | {"time": np.arange(40.0), "step": np.arange(40), "image": image, "unwrapped": unwrapped}
         run = dpd.Trajectory(fresh, record, ideal, quiet(), 1.0)
         measured[far] = dpd.mean_squared_displacement(run, t_max=4.0).value
-    np.testing.assert_allclose(measured[100_000], measured[0], rtol=1e-9)
+    np.testing.assert_allclose(measured[100_000], measured[0], rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(measured[0][1:], 3e-6 * np.arange(1, 5), rtol=0.1)
 
 

@@ -106,11 +106,15 @@ def test_wrong_positions(position, message):
         radial_distribution(position, box=SIDES)
 
 
-def test_wrong_trajectories():
+def test_wrong_trajectories(water):
     final = SimpleNamespace(box=Box(SIDES, np.zeros(())))
-    sheared = SimpleNamespace(frames={"position": ideal_gas(5, 8)}, flow=dpd.shear(0.1), final=final)
-    with pytest.raises(ValueError, match="sheared"):
-        radial_distribution(sheared)
+    run = {"final": final, "fluid": water, "interval": 0.1}
+    frames = {"time": np.arange(5), "position": ideal_gas(5, 8)}
+    with pytest.raises(ValueError, match="sheared, and the tilt of the box in each frame is unknown; record it too"):
+        radial_distribution(SimpleNamespace(frames=frames, flow=dpd.shear(0.1), **run))
+    frames = frames | {"strain": np.zeros(5)}
+    with pytest.raises(ValueError, match="recorded means of 'position', not its value at a time; use observe=dpd.pos"):
+        radial_distribution(SimpleNamespace(frames=frames, flow=dpd.shear(0.1), means=("position",), **run))
     standard = SimpleNamespace(frames={"temperature": np.ones(5)}, flow=quiet(), final=final)
     with pytest.raises(ValueError, match="no 'position' but temperature; use observe=dpd.positions"):
         radial_distribution(standard)

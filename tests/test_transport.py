@@ -174,7 +174,7 @@ def test_wrong_arguments(brownian, arguments, message):
 
 def test_wrong_trajectories():
     x = np.zeros((30, 4, 3))
-    with pytest.raises(ValueError, match="sheared"):
+    with pytest.raises(ValueError, match="sheared.*recorded without their images is unknown; use observe=dpd.positions"):
         diffusion(trajectory(x, x, H, flow=dpd.shear(0.1)))
     with pytest.raises(ValueError, match="differ in dt"):
         diffusion(trajectory(np.stack([x, x]), np.stack([x, x]), np.array([0.1, 0.2])))
@@ -184,7 +184,7 @@ def test_wrong_trajectories():
         diffusion(trajectory(x + np.nan, x, H))
     missing = trajectory(x, x, H)
     del missing.frames["unwrapped"]
-    with pytest.raises(ValueError, match="no 'unwrapped' but velocity; use observe=dpd.positions"):
+    with pytest.raises(ValueError, match="no 'position' but velocity; use observe=dpd.positions"):
         diffusion(missing)
 
 

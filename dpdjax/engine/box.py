@@ -33,12 +33,13 @@ class Box:
 
     def strained(self, increment) -> "Box":
         """The box after a further shear strain."""
-        return Box(self.lengths, self.strain + increment).folded()
+        return Box(self.lengths, self.strain + increment).folded()[0]
 
-    def folded(self) -> "Box":
-        """The same lattice, with its strain within half a period ``Lx/Ly`` of zero."""
+    def folded(self):
+        """The same lattice, with its strain within half a period ``Lx/Ly`` of zero, and how many periods were taken off."""
         period = self.lengths[0] / self.lengths[1]
-        return Box(self.lengths, self.strain - period * jnp.round(self.strain / period))
+        periods = jnp.round(self.strain / period)
+        return Box(self.lengths, self.strain - period * periods), periods
 
 
 def box(lengths) -> Box:

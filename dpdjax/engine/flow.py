@@ -140,6 +140,10 @@ class BodyForce(Flow):
 class Wave(BodyForce):
     """A sinusoidal body force along x; see :func:`sinusoidal_force`."""
 
+    def batch_axes(self):
+        axes = {name: 0 if jnp.ndim(x) == 1 else None for name, x in self.numbers.items()}
+        return dataclasses.replace(self, numbers=axes) if any(axis == 0 for axis in axes.values()) else None
+
     def check(self, fluid, state):
         side = state.box.lengths[1]
         if is_concrete(self, side):
@@ -268,10 +272,10 @@ def sine_field(position, time, *, amplitude, wavenumber):
 def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
     """``amplitude sin(k y)`` along x on each bead, with ``waves`` periods in ``side``.
 
-    Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``.
+    Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``. For a batch, give a number for each member.
     """
-    numbers = {"amplitude": number(amplitude, "amplitude"), "wavenumber": 2 * jnp.pi * waves / positive(side, "side")}
-    return Wave(sine_field, numbers)
+    wavenumber = 2 * jnp.pi * number(waves, "waves") / positive(side, "side")
+    return Wave(sine_field, {"amplitude": number(amplitude, "amplitude"), "wavenumber": wavenumber})
 
 
 def constant_field(position, time, *, acceleration):
@@ -336,6 +340,7 @@ def check_faces(flow, state) -> None:
     """Refuse a body force whose limits at two opposite faces, both from within the box, differ."""
     if not is_concrete(flow, state.position, state.box, state.time):
         return
+    flow = chosen(flow, flow.batch_axes(), 0)
     sides, strain = np.asarray(state.box.lengths, float), float(state.box.strain)
     here = np.random.default_rng(0).uniform(size=(64, 3)) * sides
     # A field may be zero at this moment, or overflow at later ones.

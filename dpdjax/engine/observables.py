@@ -105,7 +105,7 @@ def positions(fluid, state) -> dict:
 def positions_of(species: int):
     """An observable like :func:`positions` of the beads of one species alone, with the ``strain`` of the box.
 
-    Unwrapped positions are right where the strain stays as it is. A run raises ValueError where no interaction of the fluid has
+    A run raises ValueError where no interaction of the fluid has
     this species as a group of its own.
     """
 

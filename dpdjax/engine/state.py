@@ -46,7 +46,7 @@ class State:
         position: wrapped Cartesian positions (n, 3) [length].
         velocity: peculiar velocities, the streaming velocity taken off, (n, 3).
         force: force of the last step, on which the next half kick depends, (n, 3).
-        image: how many sides each bead was carried over since the start, (n, 3) int32.
+        image: vectors of the lattice, as it is now, that each bead was carried over since the start, (n, 3) int32.
         id: what the noise of a bead is keyed by, a permutation of 0 to n - 1, (n,) int32; travels with the bead.
         species: index into the tables of the fluid, (n,) int32; beads of a species lie together.
         size: relative size of each bead, (n,): its radius in those of its species, the mass goes as the cube.
@@ -88,9 +88,9 @@ class State:
 
     @property
     def unwrapped(self):
-        """Positions followed through the periodic images (n, 3) [length], by the lattice as it is now.
+        """Positions followed through the periodic images (n, 3) [length].
 
-        Their differences are displacements while the strain of the box stays as it is, zero or not.
+        Their differences are displacements; under shear they hold what the flow carries a bead along, ``rate y``.
         """
         lengths = self.box.lengths
         shift = (self.box.strain * lengths[..., 1])[..., None] * self.image[..., 1]

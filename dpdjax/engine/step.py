@@ -100,10 +100,12 @@ def moved_on(state: State, move, strain, dt) -> State:
     position, position_rest = plus(state.position.T, state.position_rest.T, move)
     total, strain_rest = plus(state.box.strain, state.strain_rest, strain)
     time, time_rest = plus(state.time, state.time_rest, dt)
-    box = boxes.Box(state.box.lengths, total).folded()
+    box, periods = boxes.Box(state.box.lengths, total).folded()
     position, crossed = boxes.wrapped_columns(box, position)
+    # A period less of strain leaves an upper image a side further back along x.
+    image = state.image + (crossed + _along_x(periods.astype(jnp.int32) * state.image[:, 1])).T
     rests = {"position_rest": position_rest.T, "strain_rest": strain_rest, "time_rest": time_rest}
-    new = {"position": position.T, "image": state.image + crossed.T, "box": box, "step": state.step + 1, "time": time}
+    new = {"position": position.T, "image": image, "box": box, "step": state.step + 1, "time": time}
     return dataclasses.replace(state, **new, **rests)
 
 

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from dpdjax.measure.contacts import spheres_and_gap
 from dpdjax.measure.spheres import by_frame, close_pairs, nearest
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, draw, pieces_of, standard_error
+from dpdjax.measure.structure import average, draw, error_of, standard_error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +63,7 @@ def clusters(what, *, gap: float | None = None) -> Clusters:
     values = by_frame(what, lambda frame: _cluster_numbers(frame, gap))
     largest, number = (values[..., k].astype(int) for k in (0, 1))
     percolates = values[..., 3:] > 0
-    error = standard_error(pieces_of(percolates))
+    error = error_of(percolates)
     return Clusters(what.time, largest, number, values[..., 2], percolates, percolates.mean((0, 1)), error)
 
 

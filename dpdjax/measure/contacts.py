@@ -7,7 +7,7 @@ import numpy as np
 from dpdjax.checks import positive
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, draw, pieces_of, standard_error
+from dpdjax.measure.structure import average, draw, error_of
 from dpdjax.model.colloids import attraction_range
 
 
@@ -58,15 +58,16 @@ def contact_number(what, *, gap: float | None = None) -> ContactNumber:
     contacts = by_frame(what, contacts_of_each)
     z = np.arange(contacts.max() + 1)
     shares = np.mean(contacts[..., None, :] == z[:, None], axis=-1)
-    series, error = contacts.mean(axis=-1), standard_error(pieces_of(shares))
+    series, error = contacts.mean(axis=-1), error_of(shares)
     return ContactNumber(average(series), z, shares.mean((0, 1)), error, what.time, series, gap)
 
 
 def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
     """The spheres, and the gap or that of the fluid of a run; ValueError for one that will not do."""
+    found = as_spheres(what)
     gap = _gap_of_fluid(what) if gap is None else gap
     positive(gap, "gap")
-    what, gap = as_spheres(what), float(gap)
+    what, gap = found, float(gap)
     reach, half = 2 * np.max(what.radius) + gap, 0.5 * np.min(what.lengths)
     if reach > half:
         raise ValueError(

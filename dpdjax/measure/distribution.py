@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.measure.reading import chosen_beads
 from dpdjax.measure.spheres import as_spheres, by_frame, nearest, of_run
-from dpdjax.measure.structure import RadialDistribution, chosen_beads, distance_edges, draw, pieces_of, standard_error, whole_bins
+from dpdjax.measure.structure import RadialDistribution, distance_edges, draw, error_of, whole_bins
 
 PAIRS_AT_ONCE = 2**14
 """Pairs looked at together: few enough for their separations to stay in the cache."""
@@ -51,7 +52,7 @@ def pair_distribution(what, *, bins: int = 100, h_max: float | None = None, h_mi
     counts = by_frame(what, lambda frame: _count(frame, everyone, everyone, edges, frame.radius))
     ideal = np.stack([_ideal_pairs(radius, edges) for radius in what.radius]) / np.prod(what.lengths)
     g = counts / ideal[:, None, :]
-    return PairDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), standard_error(pieces_of(g)))
+    return PairDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), error_of(g))
 
 
 def partial_distribution(
@@ -77,7 +78,7 @@ def partial_distribution(
     counts = by_frame(what, lambda frame: _count(frame, a, a if same else b, edges, points))
     pairs = len(a) * (len(b) - same) / (1 + same)
     g = counts / (pairs * 4.0 / 3.0 * np.pi * np.diff(edges**3) / np.prod(what.lengths))
-    return RadialDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), standard_error(pieces_of(g)))
+    return RadialDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), error_of(g))
 
 
 def _gap_edges(what, bins, h_min, h_max):

@@ -7,10 +7,11 @@ import warnings
 import numpy as np
 
 from dpdjax.engine.flow import Drive
+from dpdjax.measure import needs
+from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.rotation import check_turned
 from dpdjax.measure.statistics import Estimate, block_average
-from dpdjax.measure.structure import chosen_beads, of_beads, recorded, species_of
 from dpdjax.measure.transport import bead_masses
 
 SUSPECT = 0.5
@@ -65,9 +66,10 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     flow, force, along = _driven(trajectory, "push", "force")
     beads = chosen_beads(trajectory, flow.species)
     record = f"dpd.positions_of({flow.species})"
-    position = of_beads(recorded(trajectory, "unwrapped", observe=record), trajectory, beads).astype(float)
+    position = of_beads(displaced(trajectory, record), trajectory, beads)
     first = int(skip * (position.shape[1] - 1))
     steps = np.diff(position[:, first:], axis=1) @ along / shared(trajectory.interval)
+    needs.warn_of_drift({"velocity": steps.mean(axis=2)})
     velocity = block_average(steps.mean(axis=2), blocks)
     if flow.reaction == "others":
         force = force / (1.0 - driven_share(trajectory))
@@ -81,10 +83,11 @@ def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Drive
     as in :func:`driven_diffusion`; ValueError also where no friction turns the spheres, as with ``coupling="central"``.
     """
     flow, torque, along = _driven(trajectory, "twist", "torque")
-    omega = recorded(trajectory, "angular_velocity", observe="dpd.rotations").astype(float) @ along
+    omega = recorded(trajectory, "angular_velocity", observe="dpd.rotations", averaged=True).astype(float) @ along
     check_turned(trajectory.fluid, (flow.species,))
     turning = species_of(trajectory)[trajectory.final.rotation.slots] == flow.species
     omega = omega[:, int(skip * omega.shape[1]) :, turning]
+    needs.warn_of_drift({"angular velocity": omega.mean(axis=2)})
     return _result(trajectory, block_average(omega.mean(axis=2), blocks), torque, omega.size, turns=True)
 
 
@@ -96,6 +99,7 @@ def driven_share(trajectory) -> float:
 
 def _driven(trajectory, name: str, what: str):
     """The flow, the size of its force or torque, and its direction (3,)."""
+    needs.finished(trajectory)
     flow = trajectory.flow
     if not isinstance(flow, Drive) or not np.any(np.asarray(getattr(flow, name))):
         raise ValueError(f"this run had no driving {what}; run it with flow=dpd.drive({what}=...)")

@@ -55,12 +55,34 @@ def warn_of_heat(trajectory, frames: dict):
         )
 
 
+def is_sheared(trajectory) -> bool:
+    """Whether the box of the run was deformed."""
+    return trajectory.flow.deforms and bool(np.any(np.asarray(trajectory.flow.rate) != 0))
+
+
+def is_pushed(trajectory) -> bool:
+    """Whether a force or a torque drove the run."""
+    flow = type(trajectory.flow)
+    return flow.force is not Flow.force or flow.torque is not Flow.torque
+
+
+def unsheared(trajectory, what: str, cure: str):
+    """Raise ValueError for a sheared run, in which ``what`` is unknown."""
+    if is_sheared(trajectory):
+        raise ValueError(f"the run was sheared, and {what} is unknown; {cure}")
+
+
 def equilibrium(trajectory, measure: str):
     """Raise ValueError unless nothing drove the run."""
-    if trajectory.flow.deforms and np.any(np.asarray(trajectory.flow.rate) != 0):
+    if is_sheared(trajectory):
         raise ValueError(f"{measure} is of a fluid in equilibrium, and this run was sheared; run it without a flow")
-    if type(trajectory.flow).force is not Flow.force:
+    if is_pushed(trajectory):
         raise ValueError(f"{measure} is of a fluid in equilibrium, and a force drove this run; run it without a flow")
+
+
+def warn_unsettled(frames: dict):
+    """Warns where a temperature, an energy or the wave of a flow, where recorded, still drifts."""
+    warn_of_drift({name: frames[name] for name in ("temperature", "potential_energy", "wave_velocity") if name in frames})
 
 
 def warn_of_drift(series: dict):

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, from_replicas
 
@@ -44,8 +45,10 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli
 
     Raises ValueError for another flow, a scan, no recorded stress, and less than two whole cycles after those left out.
     """
+    needs.finished(trajectory)
     amplitude, frequency = _oscillation(trajectory)
     time = _common_time(trajectory.frames)
+    needs.finite(trajectory.frames)
     stress = -np.asarray(trajectory.frames["pressure_tensor"], float)[..., 0, 1].reshape(-1, time.size)
     interval = float(np.ravel(trajectory.interval)[0])
     averaged = "pressure_tensor" in getattr(trajectory, "means", ["pressure_tensor"]) if averaged is None else averaged
@@ -64,7 +67,15 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli
     damped = np.sin(steps * half) / (steps * np.sin(half))
     fits = [_fit(phases[turns == k], member[turns == k]) for member in stress for k in whole]
     cycles = np.array(fits) / (amplitude * damped)
+    _warn(trajectory, time >= time[turns == whole[0]][0], cycles.reshape(len(stress), len(whole), 2))
     return Moduli(from_replicas(cycles[:, 0]), from_replicas(cycles[:, 1]), frequency, cycles)
+
+
+def _warn(trajectory, used, cycles):
+    """Warn of beads that are hot in the frames used (frames,), and of cycles (replicas, cycles, 2) that drift."""
+    heat = {"temperature": np.asarray(trajectory.frames["temperature"])[..., used]} if "temperature" in trajectory.frames else {}
+    needs.warn_of_heat(trajectory, heat)
+    needs.warn_of_drift({"storage modulus": cycles[..., 0], "loss modulus": cycles[..., 1]})
 
 
 def _oscillation(trajectory):

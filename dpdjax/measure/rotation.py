@@ -5,13 +5,15 @@ Recorded with ``observe=dpd.rotations``. Error bars come from pieces in time and
 """
 
 import dataclasses
+import warnings
 
 import numpy as np
 
 from dpdjax.engine.rotation import axis_of
-from dpdjax.measure import transport
+from dpdjax.measure import needs, transport
+from dpdjax.measure.reading import recorded
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import draw, recorded, standard_error
+from dpdjax.measure.structure import draw, standard_error
 from dpdjax.measure.transport import correlated, read_diffusion
 
 RECORD = "dpd.rotations"
@@ -47,7 +49,7 @@ def angular_velocity_autocorrelation(trajectory, *, t_max: float | None = None) 
 
     Raises ValueError for a sheared or failed run, one without rotations, a ``t_max`` outside the run.
     """
-    values = recorded(trajectory, "angular_velocity", observe=RECORD)
+    values = _unsheared(trajectory, "angular_velocity")
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
     name = "angular velocity autocorrelation [1 / time$^2$]"
     return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), name)
@@ -82,9 +84,10 @@ def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, f
     """
     if method not in ("msd", "vacf"):
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
+    needs.finished(trajectory)
     check_turned(trajectory.fluid, trajectory.fluid.rotating)
     if method == "vacf":
-        values = recorded(trajectory, "angular_velocity", observe=RECORD)
+        values = _unsheared(trajectory, "angular_velocity")
         return read_diffusion(trajectory, values, values.shape, transport.autocorrelation, transport.green_kubo_integral, fit)
     angle = angle_turned(_orientations(trajectory))
     return read_diffusion(trajectory, angle, angle.shape, transport.squared_displacement, transport.einstein, fit)
@@ -101,9 +104,21 @@ def check_turned(fluid, species):
 
 
 def _orientations(trajectory):
-    if "orientation" in getattr(trajectory, "means", ()):
-        raise ValueError("the run recorded means of orientations, which are none; use observe=dpd.rotations")
-    return recorded(trajectory, "orientation", observe=RECORD, components=4)
+    return _unsheared(trajectory, "orientation", components=4)
+
+
+def _unsheared(trajectory, name: str, components: int = 3):
+    """What was recorded of the beads that rotate; ValueError where a shear turns them, warns where a force or a torque may."""
+    values = recorded(trajectory, name, observe=RECORD, components=components)
+    needs.unsheared(trajectory, "how spheres would turn without the flow", "measure rotation in a run without a flow")
+    needs.warn_unsettled(trajectory.frames)
+    if needs.is_pushed(trajectory):
+        warnings.warn(
+            "a force or a torque drove this run, and how it turned spheres is not taken off; measure in a run without it, or "
+            "by dpd.driven_rotation",
+            stacklevel=4,
+        )
+    return values
 
 
 def angle_turned(orientation) -> np.ndarray:

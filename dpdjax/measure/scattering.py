@@ -1,11 +1,12 @@
 """What spheres scatter: the structure factor."""
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from dpdjax.measure.spheres import as_spheres, by_frame, shift_of
-from dpdjax.measure.structure import draw, pieces_of, standard_error, whole_bins
+from dpdjax.measure.structure import draw, error_of, whole_bins
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,7 +17,7 @@ class StructureFactor:
         q: mean length of the wave vectors in each shell, (shells,) [1 / length].
         s: mean of S over them, (shells,).
         error: standard error of ``s``, (shells,); NaN where there is a single frame.
-        vectors: wave vectors in each shell, both of each opposite two counted, (shells,).
+        vectors: wave vectors in each shell, both of each opposite two counted, (shells,); the mean over frames.
     """
 
     q: np.ndarray
@@ -30,49 +31,65 @@ class StructureFactor:
 
 
 def structure_factor(what, *, q_max: float | None = None, bins: int = 60) -> StructureFactor:
-    """The structure factor ``S(q) = |sum exp(-i q . r)|^2 / n``, at the wave vectors ``2 pi m / L`` of the box.
+    """The structure factor ``S(q) = |sum exp(-i q . r)|^2 / n``, at the wave vectors of the box.
 
-    All spheres count alike, whatever their radii. Averages run over the wave vectors of a shell and over frames;
-    shells without any are left out.
+    Those are ``2 pi m / L``, and in a tilted box ``2 pi (m_x / L_x, m_y / L_y - strain m_x / L_x, m_z / L_z)``, which change
+    from frame to frame. All spheres count alike, whatever their radii. Averages run over the wave vectors of a shell, so over
+    all directions, and over frames; shells without any are left out.
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
         q_max: largest wave vector [1 / length], by default 2 pi over the mean radius. The work grows as its cube.
         bins: shells of equal width between 0 and ``q_max``.
 
-    Raises ValueError for tilted frames, ``q_max`` below the smallest wave vector, and as :func:`spheres` does.
+    Raises ValueError for ``q_max`` below the smallest wave vector, and as :func:`spheres` does.
     """
     what, bins = as_spheres(what), whole_bins(bins)
-    if np.any(shift_of(what.strain, what.lengths) != 0):
-        raise ValueError("the box is tilted and its wave vectors change from frame to frame; measure this without shear")
     q_max = 2 * np.pi / np.mean(what.radius) if q_max is None else float(q_max)
     lowest = 2 * np.pi / np.max(what.lengths)
     if not q_max >= lowest * (1 - 1e-9):
         raise ValueError(f"q_max is {q_max:.6g}; it must reach the smallest wave vector of the box, {lowest:.6g}")
-    indices, q, shell = _wave_vectors(what.lengths, q_max, bins)
-    by_shell = lambda weights: np.bincount(shell, weights, bins + 1)[:bins]
-    vectors = by_shell(None)
-    mean = lambda values: by_shell(values.ravel())[vectors > 0] / vectors[vectors > 0]
-    s = by_frame(what, lambda frame: mean(_spectrum(frame, indices)))
-    return StructureFactor(mean(q), s.mean((0, 1)), standard_error(pieces_of(s)), 2 * vectors[vectors > 0])
-
-
-def _wave_vectors(lengths, q_max, bins):
-    """Indices along x, y, z, and length and shell of each wave vector; those left out are in shell ``bins``."""
     # Vectors of one length stay together where it falls on an edge of a shell.
     q_max = q_max * (1 + 1e-9)
-    most = (q_max * lengths / (2 * np.pi)).astype(int)
-    # One of each opposite two: x is not negative.
-    indices = [np.arange(0 if axis == 0 else -m, m + 1) for axis, m in enumerate(most)]
+    indices = _indices(what, q_max)
+    waves = functools.lru_cache(1)(lambda shift: _wave_vectors(what.lengths, shift, indices, q_max, bins))
+
+    def sums_of_shells(frame):
+        q, shell = waves(frame.shift)
+        weights = (None, q.ravel(), _spectrum(frame, indices).ravel())
+        return np.stack([np.bincount(shell, w, bins + 1)[:bins] for w in weights])
+
+    # Sums before quotients: a shell holds other vectors, or none, in another frame.
+    sums = by_frame(what, sums_of_shells)
+    there = sums[:, :, 0].sum(axis=(0, 1)) > 0
+    vectors, q, s = sums.mean(axis=(0, 1))[:, there]
+    # Of a quotient of sums; a tilt changes the vectors of a shell little.
+    scattered = (sums[:, :, 2, there] - s / vectors * sums[:, :, 0, there]) / vectors
+    return StructureFactor(q / vectors, s / vectors, error_of(scattered), 2 * vectors)
+
+
+def _indices(what, q_max):
+    """Indices along x, y, z of all wave vectors up to ``q_max``, whatever the tilt; x is not negative, one of each opposite two."""
+    x, y, z = (q_max * what.lengths / (2 * np.pi)).astype(int)
+    tilt = np.max(np.abs(shift_of(what.strain, what.lengths))) / what.lengths[0]
+    y += int(np.ceil(x * tilt))
+    return [np.arange(x + 1), np.arange(-y, y + 1), np.arange(-z, z + 1)]
+
+
+def _wave_vectors(lengths, shift, indices, q_max, bins):
+    """Length of each wave vector (x, y, z), and its shell; those left out are in shell ``bins``."""
     x, y, z = np.meshgrid(*indices, indexing="ij")
-    q = 2 * np.pi * np.sqrt(sum((m / side) ** 2 for m, side in zip((x, y, z), lengths)))
+    lx, ly, lz = lengths
+    q = 2 * np.pi * np.sqrt((x / lx) ** 2 + ((y - x * shift / lx) / ly) ** 2 + (z / lz) ** 2)
     kept = (q < q_max) & ((x > 0) | (y > 0) | ((y == 0) & (z > 0)))
-    return indices, q, np.where(kept, (q * (bins / q_max)).astype(int), bins).ravel()
+    return q, np.where(kept, (q * (bins / q_max)).astype(int), bins).ravel()
 
 
 def _spectrum(frame, indices):
     """``|sum exp(-i q . r)|^2 / n`` of each wave vector, (x, y, z)."""
-    phase = 2 * np.pi * frame.position / frame.lengths
+    place = frame.position.copy()
+    place[:, 0] -= frame.shift / frame.lengths[1] * place[:, 1]
+    phase = 2 * np.pi * place / frame.lengths
     x, y, z = (np.exp(-1j * phase[:, axis, None] * m) for axis, m in enumerate(indices))
     waves = np.stack([(along[:, None] * y).T @ z for along in x.T])
     return (waves.real**2 + waves.imag**2) / len(frame.position)

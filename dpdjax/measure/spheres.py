@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from dpdjax.checks import number, positive
 from dpdjax.engine.state import radii
-from dpdjax.measure.structure import as_frames, chosen_beads, of_beads, recorded
+from dpdjax.measure import needs
+from dpdjax.measure.reading import as_frames, chosen_beads, of_beads, recorded, strains
 
 IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
 """The box and the 26 around it, in lattice vectors."""
@@ -65,61 +66,64 @@ def _fitted(values, shape, name: str) -> np.ndarray:
         raise ValueError(f"{name} has shape {values.shape}; {shape} is wanted, as the positions have it") from None
 
 
-def spheres(trajectory, *, species: int = 1) -> Spheres:
+def spheres(trajectory, *, species: int | None = None) -> Spheres:
     """The spheres of one species of a run, with the radius ``fluid.radius[species]`` times each bead's size.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions_of(species)``, or, without shear, ``dpd.positions``.
-        species: index of the species.
+        trajectory: a run recorded with ``observe=dpd.positions_of(species)`` or ``dpd.positions``, sheared or not.
+        species: index of the species, by default the one that has a radius.
 
     Raises:
-        ValueError: no recorded positions, or of other beads; a sheared run without ``strain``; a species that
-            is not there or has no radius; a scan over numbers; members of a batch in different boxes or at different times.
+        TypeError: what is no run.
+        ValueError: no recorded positions, or means of them, or of other beads; a sheared run without ``strain``; no species
+            with a radius, or several and none named, or a named one that is not there or has none; a scan over numbers; members
+            of a batch in different boxes or at different times.
     """
+    needs.finished(trajectory)
+    species = _of_radius(trajectory.fluid, species)
     beads = chosen_beads(trajectory, species)
-    radius = trajectory.fluid.radius[species]
-    if radius is None:
-        raise ValueError(f"species {species} has no radius, its beads are points; name another: spheres(trajectory, species=...)")
     sizes = np.asarray(trajectory.final.size, float)
     sizes = sizes.reshape(-1, sizes.shape[-1])[:, beads]
-    return of_run(trajectory, beads, np.reshape(radius, (-1, 1)) * sizes)
+    return of_run(trajectory, beads, np.reshape(trajectory.fluid.radius[species], (-1, 1)) * sizes)
 
 
-def spheres_of(fluid, state, *, species: int = 1) -> Spheres:
-    """The spheres of one species of a single state; ValueError for a batch or a species that is not there or has no radius."""
+def _of_radius(fluid, species: int | None) -> int:
+    """The species of spheres that is meant; ValueError where it has no radius or none is named among several."""
+    round_ones = [k for k, radius in enumerate(fluid.radius) if radius is not None]
+    if not round_ones:
+        raise ValueError("this fluid has no spheres, for no species has a radius; give one, dpd.fluid(..., radius=[None, R])")
+    if species is None and len(round_ones) > 1:
+        raise ValueError(f"species {', '.join(map(str, round_ones))} are spheres; name one: dpd.spheres(trajectory, species=...)")
+    if species is not None and species not in round_ones:
+        told = ", ".join(map(str, round_ones))
+        raise ValueError(f"species {species} has no radius, its beads are points; spheres are of species {told}")
+    return round_ones[0] if species is None else species
+
+
+def spheres_of(fluid, state, *, species: int | None = None) -> Spheres:
+    """The spheres of one species of a single state; ``species`` and ValueError as in :func:`spheres`, or for a batch."""
     if np.ndim(state.position) != 2:
         raise ValueError("the state is a batch; give one member: jax.tree.map(lambda leaf: leaf[0], state)")
+    species = _of_radius(fluid, species)
     beads = np.asarray(state.species) == species
+    if not np.any(beads):
+        raise ValueError(f"no bead is of species {species}; the state has species {np.unique(state.species).tolist()}")
     radius = np.asarray(radii(fluid, state))[beads]
-    if not np.any(radius):
-        raise ValueError(f"no bead of species {species} has a radius; name another: spheres_of(fluid, state, species=...)")
     return Spheres(np.asarray(state.position)[beads], radius, state.box.lengths, state.box.strain, np.reshape(state.time, 1))
 
 
 def of_run(trajectory, beads, radius) -> Spheres:
     """Some beads of a run, with radii (batch, n)."""
-    position = of_beads(recorded(trajectory, "position", sheared=True), trajectory, beads)
+    position = of_beads(recorded(trajectory, "position"), trajectory, beads)
     lengths = _common(trajectory.final.box.lengths, "in different boxes")
     time = _common(trajectory.frames["time"], "recorded at different times")
-    return Spheres(position, radius, lengths, _strains(trajectory), time)
+    return Spheres(position, radius, lengths, strains(trajectory), time)
 
 
 def as_spheres(what) -> Spheres:
     if not isinstance(what, Spheres) and not hasattr(what, "frames"):
         raise TypeError(f"this measures a run or spheres, not a {type(what).__name__}; of one state, dpd.spheres_of(fluid, state)")
     return what if isinstance(what, Spheres) else spheres(what)
-
-
-def _strains(trajectory):
-    """The strain of each frame, or of all: (batch, frames) or (batch, 1)."""
-    if "strain" in trajectory.frames:
-        return np.atleast_2d(trajectory.frames["strain"])
-    if np.any(np.asarray(trajectory.flow.rate) != 0):
-        raise ValueError(
-            "the run was sheared and recorded no 'strain', so the box of each frame is unknown; record it too: "
-            "observe=dpd.positions_of(species), or [dpd.positions, lambda fluid, state: {'strain': state.box.strain}]"
-        )
-    return np.reshape(trajectory.final.box.strain, (-1, 1))
 
 
 def _common(values, what: str):

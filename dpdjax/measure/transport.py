@@ -11,9 +11,11 @@ import warnings
 
 import numpy as np
 
+from dpdjax.measure import needs
+from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
 from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate, from_replicas
-from dpdjax.measure.structure import PIECES, chosen_beads, draw, of_beads, pieces_of_member, recorded, species_of, standard_error
+from dpdjax.measure.structure import PIECES, draw, pieces_of_member, standard_error
 
 BEADS_AT_ONCE = 256
 """Beads Fourier-transformed at a time."""
@@ -65,35 +67,53 @@ class VelocityAutocorrelation:
         return draw(ax, self.time, self.value, self.error, "t [time]", label)
 
 
-def mean_squared_displacement(trajectory, *, species: int | None = None, t_max: float | None = None):
+def mean_squared_displacement(
+    trajectory, *, species: int | None = None, t_max: float | None = None, axes: str = "xyz"
+) -> MeanSquaredDisplacement:
     """The mean squared displacement of a run recorded with ``observe=dpd.positions``.
 
-    The drift of the centre of mass of all beads is taken off; a flow driven by body forces is not. Where only one
-    species was recorded (``dpd.positions_of``) nothing is: without body forces the momentum of the whole stays zero.
+    The drift of the centre of mass of all beads is taken off. Where only one species was recorded
+    (``dpd.positions_of``) nothing is: without body forces the momentum of the whole stays zero.
+
+    Under shear it is the displacement relative to the flow: what the flow has carried each bead along, the integral of
+    ``rate y`` at the places it went through, is taken off. For that frames must not be further apart than a strain of 0.3,
+    which leaves the displacement along x off by 0.75 %, 0.1 by 0.1 %. A flow driven by body forces is not taken off, which is
+    warned of: measure across it, ``axes="yz"``.
 
     Args:
-        trajectory: a run without shear, batched or not.
+        trajectory: a run, batched or not, sheared or not.
         species: index of the species looked at, or None for every bead; to be given where it alone was recorded.
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
+        axes: of the displacement that count, such as ``"yz"`` for those across a shear flow.
 
-    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a sheared or failed run, one without
-    positions, a species that is not there, a ``t_max`` outside the run.
+    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a failed run, one without positions or with means of
+    them, frames of a sheared one too far apart, a species that is not there, a ``t_max`` outside the run, other axes.
     """
-    time, curves = correlated(trajectory, *_of_species(trajectory, "unwrapped", species), squared_displacement, t_max)
+    members, shape = _of_species(trajectory, "position", species, axes)
+    time, curves = correlated(trajectory, members, shape, squared_displacement, t_max)
     return MeanSquaredDisplacement(time, curves.mean(axis=0), standard_error(curves))
 
 
-def velocity_autocorrelation(trajectory, *, species: int | None = None, t_max: float | None = None):
+def velocity_autocorrelation(
+    trajectory, *, species: int | None = None, t_max: float | None = None, axes: str = "xyz"
+) -> VelocityAutocorrelation:
     """The velocity autocorrelation of a run recorded with ``observe=dpd.positions``.
 
-    Arguments and errors as in :func:`mean_squared_displacement`; returns a :class:`VelocityAutocorrelation`.
+    Under shear that of the velocities relative to the flow. Arguments, warnings and errors as in
+    :func:`mean_squared_displacement`; returns a :class:`VelocityAutocorrelation`.
     """
-    time, curves = correlated(trajectory, *_of_species(trajectory, "velocity", species), autocorrelation, t_max)
+    members, shape = _of_species(trajectory, "velocity", species, axes)
+    time, curves = correlated(trajectory, members, shape, autocorrelation, t_max)
     return VelocityAutocorrelation(time, curves.mean(axis=0), standard_error(curves))
 
 
 def diffusion(
-    trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None, species: int | None = None
+    trajectory,
+    *,
+    method: str = "msd",
+    fit: tuple[float, float] | None = None,
+    species: int | None = None,
+    axes: str = "xyz",
 ) -> Estimate:
     """The self-diffusion coefficient ``D`` [length^2 / time] of a run recorded with ``observe=dpd.positions``.
 
@@ -102,23 +122,26 @@ def diffusion(
     The integral needs frames much closer than the velocity lives; the slope does not.
 
     D is that of the periodic box, short of a large system's by about ``2.837 kT / (6 pi viscosity side)``
-    (Duenweg & Kremer 1993).
+    (Duenweg & Kremer 1993). Under shear it is that relative to the flow, the mean over ``axes``: along and across the flow
+    it differs.
 
     Args:
-        trajectory: a run without shear, batched or not.
+        trajectory: a run, batched or not, sheared or not.
         method: ``"msd"`` or ``"vacf"``.
         fit: first and last lag [time]: after the velocity is forgotten, and below half the run. By default the
             later half of the lags that leave 12 independent pieces.
         species: index of the species looked at, or None for every bead.
+        axes: of the displacement that count, as in :func:`mean_squared_displacement`.
 
     Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves fewer than 4
     independent pieces, and as :func:`mean_squared_displacement` does.
     """
-    readings = {"msd": ("unwrapped", squared_displacement, einstein), "vacf": ("velocity", autocorrelation, green_kubo_integral)}
+    readings = {"msd": ("position", squared_displacement, einstein), "vacf": ("velocity", autocorrelation, green_kubo_integral)}
     if method not in readings:
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
     name, correlate, read = readings[method]
-    return read_diffusion(trajectory, *_of_species(trajectory, name, species), correlate, read, fit)
+    members, shape = _of_species(trajectory, name, species, axes)
+    return read_diffusion(trajectory, members, shape, correlate, read, fit).scaled(3.0 / len(axes))
 
 
 def read_diffusion(trajectory, members, shape, correlate, read, fit: tuple[float, float] | None) -> Estimate:
@@ -200,21 +223,35 @@ def _longest_lag(frames, batch, interval, t_max):
     return longest
 
 
-def _of_species(trajectory, name: str, species):
-    """Of each member the recorded values (frames, beads, 3) of a species, and the shape of all; see :func:`_relative`."""
-    values = recorded(trajectory, name)
-    return _relative(trajectory, values, species), values.shape
+def _of_species(trajectory, name: str, species, axes: str):
+    """Of each member positions or velocities (frames, beads, axes) of a species, and the shape of all; see :func:`_relative`."""
+    values = displaced(trajectory) if name == "position" else recorded(trajectory, name)
+    needs.warn_unsettled(trajectory.frames)
+    return _relative(trajectory, values, species, _columns(trajectory, axes)), values.shape
 
 
-def _relative(trajectory, values, species):
+def _columns(trajectory, axes: str) -> list[int]:
+    """The axes by number; ValueError for others than some of x, y and z. Warns where all are meant and a force drove the run."""
+    if not axes or len(set(axes)) < len(axes) or not set(axes) <= set("xyz"):
+        raise ValueError(f'axes is {axes!r}; give some of "xyz", such as "yz" across a shear flow')
+    if len(axes) == 3 and needs.is_pushed(trajectory):
+        warnings.warn(
+            "a force drove this run, and the flow that it made is not taken off the motion of the beads; "
+            'measure across it, axes="yz" for a force along x',
+            stacklevel=4,
+        )
+    return ["xyz".index(axis) for axis in axes]
+
+
+def _relative(trajectory, values, species, columns):
     """Member by member, relative to the centre of mass if all beads are there."""
     beads = chosen_beads(trajectory, species)
     if values.shape[2] < len(species_of(trajectory)):
-        yield from of_beads(values, trajectory, beads).astype(float)
+        yield from of_beads(values, trajectory, beads)[..., columns].astype(float)
         return
     of_members = np.broadcast_to(bead_masses(trajectory), (len(values), values.shape[2]))
     for member, mass in zip(values, of_members):
-        yield _without_drift(member, mass)[:, beads]
+        yield _without_drift(member, mass)[:, beads][..., columns]
 
 
 def bead_masses(trajectory):

@@ -241,7 +241,7 @@ def _later(trajectory, skip, need=None) -> dict:
     frames = {k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:] for k, v in trajectory.frames.items()}
     needs.finite(frames)
     needs.warn_of_heat(trajectory, frames)
-    needs.warn_of_drift({name: frames[name] for name in ("temperature", "potential_energy", "wave_velocity") if name in frames})
+    needs.warn_unsettled(frames)
     return frames
 
 
