@@ -60,6 +60,7 @@ _HOMES = {
     "dpdjax.calibration.relative": ["relative_viscosity"],
     "dpdjax.calibration.joint": ["JointCalibration"],
     "dpdjax.host.bench": ["bench"],
+    "dpdjax.host.compilation": ["compilation_cache"],
     "dpdjax.host.run": ["RunError", "run"],
     "dpdjax.host.gsd": ["gsd_record", "gsd_writer", "run_to_gsd", "write_gsd"],
     "dpdjax.host.io": ["load_state", "save_state"],

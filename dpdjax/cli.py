@@ -14,6 +14,8 @@ def main(argv=None) -> int:
     arguments = _parser().parse_args(argv)
     try:
         _check_plot(arguments.plot)
+        if not arguments.no_cache:
+            _keep_programs()
         result, figure = arguments.work(arguments)
     except (ValueError, TypeError, RuntimeError) as error:
         print(f"dpdjax {arguments.command}: {error}", file=sys.stderr)
@@ -29,6 +31,16 @@ def main(argv=None) -> int:
         figure().savefig(arguments.plot, dpi=150, bbox_inches="tight")
         print(f"wrote {arguments.plot}", file=sys.stderr)
     return 0
+
+
+def _keep_programs():
+    """Keep compiled programs on disk; where there is no place for them, go on without."""
+    from dpdjax.host.compilation import compilation_cache
+
+    try:
+        compilation_cache()
+    except OSError as error:
+        print(f"dpdjax: compiled programs are not kept: {error}", file=sys.stderr)
 
 
 def _check_plot(path):
@@ -106,6 +118,8 @@ def _numbers(parser, *, kT: float, suits: str):
     parser.add_argument("--dt", type=float, default=None, help=f"time step (default: suits {suits})")
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    kept = "compile anew; by default compiled programs are kept in the user's folder for caches"
+    parser.add_argument("--no-cache", action="store_true", help=kept)
 
 
 def _common(parser):
@@ -160,6 +174,7 @@ def _calibrate(arguments):
         "dt": fit.dt,
         "rate": fit.rate,
         "seconds": round(fit.seconds, 1),
+        "compile_seconds": round(fit.compile_seconds, 1),
         "particle_steps": fit.particle_steps,
         "history": [
             {
@@ -199,6 +214,7 @@ def _viscosity(arguments):
         "dt": measured.dt,
         "rate": measured.rate,
         "seconds": round(measured.seconds, 1),
+        "compile_seconds": round(measured.compile_seconds, 1),
         "particle_steps": measured.particle_steps,
     }
     return result, lambda: dpd.plot_convergence(measured)
@@ -340,7 +356,8 @@ def _answer(result) -> str:
     lines.append(f"kinetic temperature {result['temperature']:.4g}")
     lines.append(
         f"dt {result['dt']:.3g}, shear rate {result['rate']:.3g}, "
-        f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s"
+        f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s, "
+        f"of which {result['compile_seconds']:.0f} s compiling"
     )
     return "\n".join(lines)
 

@@ -53,7 +53,7 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
     rng, asked = np.random.default_rng(seed), []
     ln_gamma = lambda fluid: math.log(float(fluid.value("gamma")))
 
-    def prepare(fluid, goal, key, *, density, side, boxes, dt=None):
+    def prepare(fluid, goal, key, *, density, side, boxes, dt=None, report=None):
         state = SimpleNamespace(position=np.zeros((boxes, 10, 3)))
         keys = jax.random.split(key, boxes)
         return SimpleNamespace(goal=goal, state=state, keys=keys, steps=0, step_for=lambda fluid: 0.01)

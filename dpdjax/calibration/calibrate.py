@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 from typing import Any
 
 import jax
@@ -23,6 +22,7 @@ from dpdjax.calibration.goal import (
 from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.engine.advice import drag_viscosity, thermal_time
+from dpdjax.engine.compiling import Clock
 from dpdjax.measure.statistics import Estimate
 
 MAX_POINTS = 10
@@ -54,7 +54,8 @@ class Calibration:
         history: the measured points; ``x`` is the logarithm of the parameter.
         curve: the fit through them.
         dt, rate: time step and shear rate of the fresh run.
-        particle_steps, seconds: what it took.
+        particle_steps, seconds: what it took; of the seconds,
+        compile_seconds: went into making programs, which a second calibration of the same shapes need not.
         temperature: mean kinetic temperature of the fresh run; NaN where the goal does not record it.
     """
 
@@ -71,6 +72,7 @@ class Calibration:
     particle_steps: int
     seconds: float
     temperature: float = math.nan
+    compile_seconds: float = math.nan
 
     @property
     def value(self) -> float:
@@ -146,7 +148,7 @@ def calibrate(
             holds the points.
         ValueError, TypeError: arguments that cannot work, before anything runs.
     """
-    began = time.monotonic()
+    clock = Clock()
     key = prng_key(key)
     sign = _branch_sign(branch)
     positive(tolerance, "tolerance")
@@ -156,13 +158,14 @@ def calibrate(
     if not isinstance(parameter, str):
         wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
         setup = (observe, flow, rate, density, tolerance, box, boxes, dt)
-        return _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
+        found = _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
+        return dataclasses.replace(found, seconds=clock.seconds, compile_seconds=clock.compile_seconds)
     _check_goal(viscosity, pressure, target, observe)
     guess = _first_guess(fluid, parameter, guess, viscosity, density)
     fluid = fluid.set(energies="keep", **{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
     say(f"equilibrating {boxes} boxes")
-    bench = _bench(fluid, goal, key, density, box, boxes, dt)
+    bench = _bench(fluid, goal, key, density, box, boxes, dt, say)
     wanted = tolerance * abs(goal.target) / SIGMAS
 
     x, points, proposal = math.log(guess), [], None
@@ -191,8 +194,8 @@ def calibrate(
     fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
     return Calibration(
         parameter, goal.name, goal.target, Estimate(value, error, len(points)), fresh.estimate, fluid, tuple(points),
-        proposal.curve, bench.step_for(fluid), float(bench.goal.flow.rate), bench.steps, time.monotonic() - began,
-        fresh.temperature,
+        proposal.curve, bench.step_for(fluid), float(bench.goal.flow.rate), bench.steps, clock.seconds,
+        fresh.temperature, clock.compile_seconds,
     )  # fmt: skip
 
 
@@ -207,7 +210,7 @@ def measure_viscosity(
 
     Returns a :class:`Measurement`, the viscosity in its ``estimate``.
     """
-    began = time.monotonic()
+    clock = Clock()
     key = prng_key(key)
     positive(tolerance, "tolerance")
     density = _density(fluid, density)
@@ -215,7 +218,7 @@ def measure_viscosity(
     goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
     say = report or (lambda text: None)
     say(f"equilibrating {boxes} boxes")
-    bench = _bench(fluid, goal, key, density, box, boxes, dt)
+    bench = _bench(fluid, goal, key, density, box, boxes, dt, say)
     settle = thermal_time(fluid)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
@@ -224,7 +227,8 @@ def measure_viscosity(
     wanted = tolerance * abs(first.estimate.value) / SIGMAS
     if first.estimate.error > wanted:
         result = experiment.measure(bench, fluid, wanted, 0.0, most, say)
-    return dataclasses.replace(result, particle_steps=bench.steps, seconds=time.monotonic() - began)
+    spent = {"particle_steps": bench.steps, "seconds": clock.seconds, "compile_seconds": clock.compile_seconds}
+    return dataclasses.replace(result, **spent)
 
 
 def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCalibration:
@@ -244,7 +248,7 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)
         wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
-        benches.append(_bench(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt))
+        benches.append(_bench(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, say))
     return descend(fluid, parameters, benches, tolerance, optimiser, MAX_POINTS, say)
 
 
@@ -260,9 +264,9 @@ def _density(fluid, density) -> float:
     return 3.0 / max(fluid.reaches()) ** 3 if density is None else float(positive(density, "density"))
 
 
-def _bench(fluid, goal, key, density, box, boxes, dt):
+def _bench(fluid, goal, key, density, box, boxes, dt, say):
     side = 10.0 * max(fluid.reaches()) if box is None else box
-    return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt)
+    return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt, report=say)
 
 
 def _check_goal(viscosity, pressure, target, observe):

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from dpdjax.engine import status as bits
 from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed, shape_of, trips_of
+from dpdjax.engine.compiling import is_new
 from dpdjax.engine.flow import quiet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
@@ -48,6 +50,7 @@ class Bench:
         keys: one noise key per box.
         dt: fixed time step, or None to follow the drag.
         steps: particle-steps spent so far.
+        report: ``report(text)`` is told of the progress.
     """
 
     fluid: Any
@@ -57,6 +60,7 @@ class Bench:
     keys: Any
     dt: float | None = None
     steps: int = 0
+    report: Callable = lambda text: None
 
     def step_for(self, fluid) -> float:
         return suggest_dt(fluid, self.density) if self.dt is None else self.dt
@@ -66,7 +70,7 @@ class Bench:
         return int(np.prod(self.state.position.shape[:2]))
 
 
-def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
+def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None, report=lambda text: None) -> Bench:
     """A batch of boxes in equilibrium.
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
@@ -84,7 +88,7 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None) -> Bench:
     _check_dt(fluid, state, step)
     check_observed(goal, fluid, jax.tree.map(lambda leaf: leaf[0], state))
     keys = jax.random.split(noise_key, boxes)
-    bench = Bench(fluid, goal, density, complete_lists(state), keys, dt)
+    bench = Bench(fluid, goal, density, complete_lists(state), keys, dt, report=report)
     _equilibrate(bench)
     return bench
 
@@ -99,7 +103,7 @@ def _equilibrate(bench):
     thermal = thermal_time(weak)
     dt = min(0.01 * thermal, 2 * suggest_dt(weak, bench.density))
     for _ in range(math.ceil(5 * thermal / (dt * EQUILIBRATION.steps) * (1 - 1e-6))):
-        bench.state, _ = _replayed(weak, bench.state, bench.keys, dt, EQUILIBRATION, quiet(), standard)
+        bench.state, _ = _replayed(bench, weak, dt, EQUILIBRATION, quiet(), standard)
         bench.steps += EQUILIBRATION.steps * bench.beads
 
 
@@ -123,7 +127,7 @@ class Measurement:
         time: time of each frame since the start of the measurement.
         dt, rate: time step and shear rate.
         temperature: mean kinetic temperature, where the goal records it.
-        particle_steps, seconds: what it took.
+        particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
     """
 
     estimate: Estimate
@@ -133,6 +137,7 @@ class Measurement:
     rate: float
     particle_steps: int
     seconds: float = math.nan
+    compile_seconds: float = math.nan
     temperature: float = math.nan
 
     def __str__(self):
@@ -211,14 +216,15 @@ def _check_dt(fluid, state, dt):
 
 def _extend(bench, fluid, dt):
     plan, goal = PIECE, bench.goal
-    bench.state, frames = _replayed(fluid, bench.state, bench.keys, dt, plan, goal.flow, mean(goal.observe))
+    bench.state, frames = _replayed(bench, fluid, dt, plan, goal.flow, mean(goal.observe))
     bench.steps += plan.steps * bench.beads
     return jax.device_get(frames)
 
 
-def _replayed(fluid, state, keys, dt, plan, flow, observe):
-    """:func:`replayed`, with an error where growth could not repair the run."""
-    after, frames = replayed(fluid, state, keys, dt, plan, flow, tuple(recorders(observe)))
+def _replayed(bench, fluid, dt, plan, flow, observe):
+    """:func:`replayed` from the states of a bench, with an error where growth could not repair the run."""
+    say = lambda: bench.report("compiling")
+    after, frames = replayed(fluid, bench.state, bench.keys, dt, plan, flow, tuple(recorders(observe)), compiling=say)
     trouble = bits.describe(after.status)
     if trouble:
         raise RuntimeError(f"the calibration stopped: {trouble}")
@@ -276,18 +282,22 @@ def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) ->
     plan = Plan(WINDOW_FRAMES, every)
     tangents = [[] for _ in names]
     for _ in range(windows):
-        for k, name in enumerate(names):
-            slopes = window_tangents(bench, fluid, name, dt, plan)
+        for k in range(len(names)):
+            slopes = window_tangents(bench, fluid, names, k, dt, plan)
             tangents[k].append(bench.goal.scale * np.asarray(slopes, float))
             bench.steps += plan.steps * bench.beads
     return [plateau(np.concatenate(t)) for t in tangents]
 
 
-def window_tangents(bench, fluid, name, dt, plan):
-    """One window for all boxes, replayed with larger lists where one overflows."""
+def window_tangents(bench, fluid, names, k, dt, plan):
+    """One window for all boxes along parameter ``k`` of those named, replayed with larger lists where one overflows."""
+    trips, shape, goal = trips_of(plan), shape_of(plan, bench.beads), bench.goal
+    along = np.eye(len(names))[k]
     for _ in range(8):
-        trips, shape = trips_of(plan), shape_of(plan, bench.beads)
-        slopes, after = _tangent(fluid, bench.state, bench.keys, dt, bench.goal.flow, trips, name, shape, bench.goal.observe)
+        arguments = (fluid, bench.state, bench.keys, dt, goal.flow, along)
+        if is_new(arguments, (names, shape, "tangent"), (goal.observe,)):
+            bench.report("compiling")
+        slopes, after = _tangent(*arguments, trips, names, shape, goal.observe)
         slopes = slopes[:, : plan.frames]
         status = np.bitwise_or.reduce(np.asarray(after.status))
         if not status:
@@ -299,18 +309,21 @@ def window_tangents(bench, fluid, name, dt, plan):
     raise RuntimeError(f"tangent window failed: {bits.describe(status)}")
 
 
-@functools.partial(jax.jit, static_argnames=("name", "shape", "observe"))
-def _tangent(fluid, state, keys, dt, flow, trips, name, shape, observe):
-    """``d value / d ln parameter`` over the frames of a window, (boxes, frames), and the states after it."""
-    here = jnp.log(fluid.value(name))
+@functools.partial(jax.jit, static_argnames=("names", "shape", "observe"))
+def _tangent(fluid, state, keys, dt, flow, along, trips, names, shape, observe):
+    """Derivative of the value along a direction in ``ln parameters``, (boxes, frames), and the states after the window.
+
+    The direction is given to the program: one serves all parameters.
+    """
+    here = jnp.log(jnp.stack([jnp.asarray(fluid.value(name), state.position.dtype) for name in names]))
 
     def values(x, state, key):
-        moved = fluid.set(**{name: jnp.exp(x)})
+        moved = fluid.set(energies="keep", **dict(zip(names, jnp.exp(x))))
         trajectory = advance(moved, state, key, dt, shape, flow, mean(observe), trips=trips)
         return trajectory.frames["value"], trajectory.final
 
     def one(state, key):
-        _, slopes, final = jax.jvp(lambda x: values(x, state, key), (here,), (jnp.ones_like(here),), has_aux=True)
+        _, slopes, final = jax.jvp(lambda x: values(x, state, key), (here,), (along.astype(here.dtype),), has_aux=True)
         return slopes, final
 
     return each_member(one)(state, keys)

@@ -43,7 +43,7 @@ class JointCalibration:
         measured: goal name -> that number in a fresh run, with its error.
         fluid: the fluid with all of them set.
         history: the measured points.
-        particle_steps: what it took.
+        particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
     """
 
     estimates: dict[str, Estimate]
@@ -51,6 +51,8 @@ class JointCalibration:
     fluid: Any
     history: tuple[JointPoint, ...]
     particle_steps: int
+    seconds: float = math.nan
+    compile_seconds: float = math.nan
 
     def __str__(self):
         found = ", ".join(f"{k} = {v}" for k, v in self.estimates.items())

@@ -11,6 +11,7 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import batch_axes, each_member
+from dpdjax.engine.compiling import is_new
 from dpdjax.engine.simulate import Plan, advance
 from dpdjax.engine.state import State, grow
 
@@ -45,15 +46,19 @@ def complete_lists(state: State) -> State:
     return dataclasses.replace(state, status=jnp.zeros_like(state.status))
 
 
-def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam=0.5):
+def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam=0.5, shape=None, compiling=lambda: None):
     """Run a plan; grow the lists and replay it with the same noise until nothing overflows.
 
     ``state``, ``key`` and any number may be a batch. Returns (final state, frames on the host);
     the status of the state holds what growth could not repair. Plans share one program as far
-    as :func:`shape_of` goes.
+    as :func:`shape_of` goes, or that of another plan is given, with as much room for frames; ``compiling()`` is
+    called before another is made.
     """
-    shape, trips = shape_of(plan, int(np.prod(state.position.shape[:-1]))), trips_of(plan)
+    trips = trips_of(plan)
+    shape = shape_of(plan, int(np.prod(state.position.shape[:-1]))) if shape is None else shape
     for _ in range(MAX_GROWTHS):
+        if is_new((fluid, dt, flow, lam, state, key), shape, observe):
+            compiling()
         after, frames = _compiled(fluid, dt, flow, lam, state, key, trips, shape, observe)
         status = np.asarray(after.status)
         # A member that failed may overflow any list: it is given up, and decides nothing for the others.
@@ -65,14 +70,15 @@ def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam
     return after, jax.tree.map(lambda leaf: leaf[taken], jax.device_get(frames))
 
 
-ROOM, KEPT = 64, 2**22
-"""Frames there is room for in a program at least, or fewer that hold so many beads."""
+ROOM, WIDER, KEPT = 64, 4, 2**22
+"""Frames there is room for in a program at least, or fewer that hold so many beads, and by what factor there is more."""
 
 
 def shape_of(plan: Plan, beads: int) -> Plan:
-    """What of a plan is compiled: room for its frames, a power of two, and how often the beads are sorted."""
-    least = max(1, min(ROOM, KEPT // beads))
-    room = 1 << (max(plan.frames, least) - 1).bit_length()
+    """What of a plan is compiled: room for its frames, of few sizes, and how often the beads are sorted."""
+    room = max(1, min(ROOM, KEPT // beads))
+    while room < plan.frames:
+        room *= WIDER
     return Plan(room, order.LASTS if plan.every >= order.LASTS else 1)
 
 

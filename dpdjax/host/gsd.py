@@ -4,14 +4,14 @@ import contextlib
 import os
 
 import numpy as np
-from tqdm import tqdm
 
 from dpdjax.checks import prng_key
 from dpdjax.engine.observables import rotations, standard
 from dpdjax.engine.simulate import Plan, Trajectory, check_kinds, check_plan, check_run
 from dpdjax.engine.state import inertias, masses, radii
 from dpdjax.host.io import refuse_existing
-from dpdjax.host.run import run
+from dpdjax.host.progress import Progress
+from dpdjax.host.run import run_on
 
 DRAWN_RADIUS = 0.5
 """Radius of beads that are points, for drawing alone [length]."""
@@ -153,11 +153,10 @@ def run_to_gsd(
     piece = max(1, piece)
     pieces, done, start = [], 0, state
     with contextlib.ExitStack() as stack:
-        bar, write = stack.enter_context(tqdm(total=plan.frames, unit="frame", disable=not progress)), None
+        line, write = stack.enter_context(Progress(plan, progress)), None
         while done < plan.frames:
             part = Plan(min(piece, plan.frames - done), plan.every)
-            around = done, plan.frames - done - part.frames
-            ran = run(fluid, state, key, dt, part, flow, observe=[standard, gsd_record], progress=False, around=around)
+            ran = run_on(line, fluid, state, key, dt, part, flow, observe=[standard, gsd_record])
             # Opened when there is something to write: a run that is refused, or ends at once, leaves an old file as it was.
             if write is None and (ran.frames or not os.path.exists(path)):
                 write = stack.enter_context(gsd_writer(path, fluid, start, mode))
@@ -165,7 +164,6 @@ def run_to_gsd(
                 write(ran.frames, flow)
             pieces.append({name: v for name, v in ran.frames.items() if name not in RECORDED})
             state, done = ran.final, done + part.frames
-            bar.update(part.frames)
             if not ran.complete:
                 break
     frames = {name: np.concatenate([p[name] for p in pieces if p]) for name in pieces[0]}

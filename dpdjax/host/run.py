@@ -1,23 +1,22 @@
 """The host door: a run in chunks of a compiled program, repaired, reported and interruptible."""
 
-import sys
 import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from dpdjax.checks import prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
 from dpdjax.engine.batching import batch_axes, differing
-from dpdjax.engine.chunk import batched, complete_lists, replayed, without_failed
+from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
 from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 from dpdjax.host.heat import warn_if_hot
+from dpdjax.host.progress import Progress
 
 CHUNK, LEAST = 1_000_000, 50
 """Particle-steps between two looks at the status: half a second; and steps, over which a large box is sorted once."""
@@ -32,7 +31,7 @@ class RunError(RuntimeError):
 
 
 def run(
-    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True, around=(0, 0)
+    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True
 ) -> Trajectory:
     """Run with everything a person at a keyboard expects; see ``simulate`` for the arguments.
 
@@ -47,13 +46,18 @@ def run(
     is named in a warning and in ``failed`` of the trajectory, and the others go on as if it were not there;
     ``trajectory.survivors`` is a batch without it.
 
-    ``around`` is for a run in pieces: the frames before this piece and those after it, which the message of Ctrl-C counts too.
-
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
         RunError: positions that became NaN, beads that ran away, in the run or in all members; its ``trajectory``
             holds the frames before.
     """
+    check_plan(plan)
+    with Progress(plan, progress) as line:
+        return run_on(line, fluid, state, key, dt, plan, flow, observe=observe, lam=lam)
+
+
+def run_on(line: Progress, fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5) -> Trajectory:
+    """:func:`run` as a part of the run that a progress line is of."""
     key = prng_key(key)
     if key.ndim > 1:
         raise ValueError(f"keys have shape {key.shape}; give a vector of them, keys.reshape(-1), and numbers alike, one for each")
@@ -61,12 +65,11 @@ def run(
     flow = flows.quiet() if flow is None else flow
     state = batched(state, key)
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
-    check_plan(plan)
     check_run(fluid, one, key, dt, flow)
     if key.ndim:
         check_finite(state)
     for caution in cautions(fluid, state, dt, plan):
-        warnings.warn(caution, stacklevel=2)
+        warnings.warn(caution, stacklevel=3)
     _check_members(fluid, dt, flow, key)
     state = complete_lists(state)
     _refuse(fluid, state, key)
@@ -74,12 +77,14 @@ def run(
     numbers = (fluid, dt, flow, averaged(observe, fluid, state))
 
     pieces, done, failed = [], 0, {}
-    size = chunk_frames(plan, int(np.prod(state.position.shape[:-1])))
-    bar = tqdm(total=plan.steps, unit="step", disable=not progress, mininterval=0.5)
+    beads = int(np.prod(state.position.shape[:-1]))
+    size = chunk_frames(plan, beads)
+    # The last piece, which is shorter, by the same program.
+    shape = shape_of(Plan(size, plan.every), beads)
     try:
         while done < plan.frames:
             chunk = Plan(min(size, plan.frames - done), plan.every)
-            after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam)
+            after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam, shape, line.compiling)
             lost = after.status
             if key.ndim:
                 after, frames = without_failed(state, after, frames)
@@ -90,14 +95,12 @@ def run(
                 raise RunError("; ".join(dict.fromkeys(failed.values())), partial)
             # One statement, which Ctrl-C cannot split.
             state, done, pieces = after, done + chunk.frames, [*pieces, frames]
-            bar.update(chunk.steps)
+            line.advance(chunk.frames)
     except KeyboardInterrupt:
-        tqdm.write(f"interrupted after {around[0] + done} of {sum(around) + plan.frames} frames", file=sys.stderr)
-    finally:
-        bar.close()
-    warn_if_hot(fluid, state, flow)
+        line.interrupted()
+    warn_if_hot(fluid, state, flow, stacklevel=4)
     for member in failed.values():
-        warnings.warn(f"{member}; the others went on: trajectory.survivors", stacklevel=2)
+        warnings.warn(f"{member}; the others went on: trajectory.survivors", stacklevel=3)
     return _trajectory(state, pieces, numbers, plan, done == plan.frames, failed)
 
 

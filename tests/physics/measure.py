@@ -199,7 +199,7 @@ def tangents(matter, name, dt, rate, duration, windows, side=10.0, count=4, seed
     state = go(matter, state, keys, dt, 5.0, 50, goal.flow).final
     bench = experiment.Bench(matter, goal, 3.0, state, keys, dt)
     plan = dpd.Plan(frames, max(1, round(duration / dt / frames)))
-    found = [experiment.window_tangents(bench, matter, name, dt, plan) for _ in range(windows)]
+    found = [experiment.window_tangents(bench, matter, (name,), 0, dt, plan) for _ in range(windows)]
     slopes = goal.scale * np.concatenate(found) / float(matter.value(name))
     each = [from_replicas(c) for c in slopes.T]
     times = dt * plan.every * np.arange(1, frames + 1)
