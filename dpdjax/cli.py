@@ -74,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
 
     suspension = commands.add_parser("suspension", help="colloids in a solvent: prepare, run, write GSD frames")
     _suspended(suspension)
+    _kept(suspension)
     suspension.set_defaults(work=_suspension, readable=_suspended_answer, plot=None)
 
     bench = commands.add_parser("bench", help="how fast this machine runs a fluid")
@@ -85,7 +86,8 @@ def _parser() -> argparse.ArgumentParser:
     steps = "steps of one timed run, medians of five (default: 200, fewer in large boxes)"
     bench.add_argument("--steps", type=int, default=None, help=steps)
     bench.add_argument("--tangent", action="store_true", help="time the derivative with respect to gamma too")
-    bench.set_defaults(work=_bench, readable=_speed, plot=None)
+    # What it says of compiling is that of a new program.
+    bench.set_defaults(work=_bench, readable=_speed, plot=None, no_cache=True)
     return parser
 
 
@@ -118,12 +120,16 @@ def _numbers(parser, *, kT: float, suits: str):
     parser.add_argument("--dt", type=float, default=None, help=f"time step (default: suits {suits})")
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def _kept(parser):
     kept = "compile anew; by default compiled programs are kept in the user's folder for caches"
     parser.add_argument("--no-cache", action="store_true", help=kept)
 
 
 def _common(parser):
     _fluid(parser)
+    _kept(parser)
     parser.add_argument("--rate", type=float, default=None, help="shear rate (default: bias below half the tolerance)")
     parser.add_argument("--box", type=float, default=10.0, help="side of each of the two boxes (default: 10)")
     parser.add_argument("--tolerance", type=float, default=0.02, help="relative; the standard error is a third (default: 0.02)")

@@ -17,6 +17,7 @@ from dpdjax.cli import main
 PNG = b"\x89PNG\r\n"
 VISCOSITY_KEYS = {
     "gamma", "gamma_error", "viscosity", "viscosity_error", "temperature", "dt", "rate", "seconds", "particle_steps",
+    "compile_seconds",
 }  # fmt: skip
 
 
@@ -28,7 +29,8 @@ def known(monkeypatch):
 
 def said(capsys, *arguments):
     """Exit status, standard output and standard error of a command."""
-    status = main([str(a) for a in arguments])
+    kept = [] if arguments[0] == "bench" else ["--no-cache"]
+    status = main([str(a) for a in arguments] + kept)
     return status, *capsys.readouterr()
 
 
@@ -48,6 +50,22 @@ assert not {{"jax", "jax_md", "numpy", "gsd", "matplotlib"}} & set(sys.modules)
     assert done.stdout.startswith("usage: dpdjax")
     assert ("--tolerance" in done.stdout) == (command in (["viscosity"], ["calibrate"]))
     assert ("--phi" in done.stdout) == (command == ["suspension"])
+
+
+@pytest.mark.parametrize("place", ["there", "full"])
+def test_programs_are_kept_unless_told_otherwise(known, capsys, monkeypatch, place):
+    asked = []
+
+    def keep():
+        asked.append(place)
+        if place == "full":
+            raise OSError("no space left")
+
+    monkeypatch.setattr("dpdjax.host.compilation.compilation_cache", keep)
+    assert said(capsys, "viscosity", "--json")[0] == 0 and not asked
+    assert main(["viscosity", "--json"]) == 0 and asked == [place]
+    err = capsys.readouterr().err
+    assert ("compiled programs are not kept: no space left" in err) == (place == "full")
 
 
 def test_module_runs_as_a_command():
