@@ -1,11 +1,23 @@
-"""Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run."""
+"""Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run; programs shared by all workers."""
 
+import atexit
+import os
 import pathlib
+import shutil
+import tempfile
 
-import jax
-import pytest
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # Many files compile the same programs, in workers of their own: they share what one of them has made.
+    folder = tempfile.mkdtemp(prefix="dpdjax-tests-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ |= {"JAX_COMPILATION_CACHE_DIR": folder, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3"}
+# Or jax logs a page of the processor's features for each program that it reads back.
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-import dpdjax as dpd
+import jax  # noqa: E402
+import pytest  # noqa: E402
+
+import dpdjax as dpd  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
