@@ -644,8 +644,8 @@ def test_freud_has_the_same_structure_factor():
     assert np.allclose(s.q, other.bin_centers[1:][filled], atol=3.1 / 1000)
 
 
-@pytest.mark.parametrize("strain", [0.0, 0.4])
-def test_density_of_the_solvent_between_colloids(strain):
+@pytest.mark.parametrize("strain, unit", [(0.0, 1.0), (0.4, 1.0), (0.4, 6.46)])
+def test_density_of_the_solvent_between_colloids(strain, unit):
     """Uniform solvent of density 2 outside two spheres that displace twice their radius' worth."""
     rng, side = np.random.default_rng(7), 12.0
     colloids = np.array([[3.0, 3.0, 3.0], [8.0, 11.5, 8.0]])
@@ -655,11 +655,13 @@ def test_density_of_the_solvent_between_colloids(strain):
     for centre in colloids:
         d = np.asarray(boxes.displacement(box, points, centre[None]))
         clear &= np.sum(d * d, axis=1) > 1.5**2
-    position = np.concatenate([points[clear], colloids])
+    position = unit * np.concatenate([points[clear], colloids])
+    box = boxes.Box(unit * box.lengths, strain)
     species = np.repeat([0, 1], [clear.sum(), 2])
     state = SimpleNamespace(position=position, species=species, size=np.ones(len(species)), box=box)
-    fluid = SimpleNamespace(radius=(None, 1.0))
-    measured = dpd.solvent_density(fluid, state, points=4000)
+    among = [dpd.interaction(pair, dpd.term(dpd.soft_repulsion, a=0.0, r_c=unit)) for pair in ((0, 0), (0, 1))]
+    fluid = dpd.fluid(kT=1.0, radius=(None, unit), interactions=among)
+    measured = dpd.solvent_density(fluid, state, points=4000) * unit**3
     assert abs(measured - 2.0) < 4 * 2.0 / np.sqrt(2 * side**3)
     with pytest.raises(ValueError, match="smaller clearance"):
-        dpd.solvent_density(fluid, state, clearance=20.0)
+        dpd.solvent_density(fluid, state, clearance=20.0 * unit)

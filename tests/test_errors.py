@@ -282,6 +282,14 @@ def test_bad_plan(wrong):
         dpd.Plan(frames=1, every=wrong)
 
 
+def test_more_steps_than_are_counted(water, fresh, key):
+    """Step numbers key the noise and are 32 bits wide: they would go on from -2147483648."""
+    late = dataclasses.replace(fresh, step=jnp.asarray(2**31 - 5, jnp.int32))
+    for door in (dpd.simulate, dpd.run):
+        with refused(ValueError, "would end at step 2147483653", "counted up to 2147483647", "start the count anew"):
+            door(water, late, key, 0.01, dpd.Plan(1, 10))
+
+
 def test_arguments_of_the_wrong_kind(water, fresh, key):
     with refused(TypeError, "fluid is a State", "dpd.fluid"):
         dpd.simulate(fresh, water, key, 0.01, PLAN)

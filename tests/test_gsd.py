@@ -261,14 +261,14 @@ KILLED = """
 import os, signal, jax, dpdjax as dpd
 from dpdjax.host import gsd as host
 water = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
-key, genuine, ran = jax.random.key(0), host.run, []
+key, genuine, ran = jax.random.key(0), host.run_on, []
 state = dpd.initial_state(water, key, box=3.5, density=3.0)
 def killed(*given, **how):
     if len(ran) == 2:
         os.kill(os.getpid(), signal.{name})
     ran.append(None)
     return genuine(*given, **how)
-host.run = killed
+host.run_on = killed
 dpd.run_to_gsd({path!r}, water, state, key, 0.01, dpd.Plan(20, 2), piece=4, progress=False)
 """
 

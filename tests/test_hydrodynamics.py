@@ -61,6 +61,12 @@ def test_periodic_tails_begin_as_free_ones_and_end_sooner(tail):
     )
 
 
+def test_a_box_that_is_not_felt_yet_is_told():
+    """The sum over its waves was cut off, at a length of some unit, and the answer too small."""
+    with pytest.raises(ValueError, match="longest wave has decayed by .*: leave out box="):
+        dpd.velocity_tail(1e-7, **WATER, density=3.0, box=60.0)
+
+
 def test_the_radius_behind_diffusion_coefficients():
     sides = [10.0, 15.0, 20.0]
     exact = [dpd.sphere_diffusion(**WATER, radius=3.15, box=side) for side in sides]
@@ -216,7 +222,7 @@ def test_means_of_orientations_are_refused():
     run = made_up(orientation=rolled()[0])
     run.means = ("orientation",)
     for measure in (dpd.rotational_diffusion, dpd.orientation_correlation):
-        with pytest.raises(ValueError, match="means of orientations, which are none; use observe=dpd.rotations"):
+        with pytest.raises(ValueError, match="means of 'orientation', not its value at a time; use observe=dpd.rotations"):
             measure(run)
 
 
@@ -264,4 +270,4 @@ def test_wrong_drives(water, fresh, key):
     with pytest.raises(ValueError, match='use reaction="all"'):
         go(dpd.drive(1.0, species=0, reaction="others"))
     with pytest.raises(ValueError, match=r"no driving force; run it with flow=dpd.drive\(force=...\)"):
-        dpd.driven_diffusion(made_up())
+        dpd.driven_diffusion(made_up(position=np.zeros((4, 3, 3))))

@@ -133,7 +133,7 @@ def simulate(
     every gradient; ``dpd.run`` repairs overflows instead.
     """
     check_run(fluid, state, key, dt, flow)
-    check_plan(plan)
+    check_plan(plan, state)
     if fluid.is_batch or jnp.ndim(dt) or (flow is not None and flow.batch_axes() is not None):
         raise ValueError(
             "a number of the fluid, the flow or dt has one axis too many: a batch; "
@@ -332,10 +332,22 @@ def check_rotation(fluid, state):
             raise ValueError("the beads of the state that rotate are of other species: make the state with this fluid")
 
 
-def check_plan(plan):
-    """Raise TypeError for anything but a :class:`Plan`."""
+LAST_STEP = 2**31 - 1
+"""Steps are counted in 32 bits."""
+
+
+def check_plan(plan, state=None):
+    """Raise TypeError for anything but a :class:`Plan`, ValueError for one that outruns the count of the steps of a state."""
     if not isinstance(plan, Plan):
         raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
+    if state is None or not is_concrete(state.step):
+        return
+    end = int(np.max(state.step)) + plan.steps
+    if end > LAST_STEP:
+        raise ValueError(
+            f"the run would end at step {end}, and steps, by which the noise is keyed, are counted up to {LAST_STEP}: start the "
+            "count anew, dataclasses.replace(state, step=jnp.zeros_like(state.step)), and give another key"
+        )
 
 
 def check_dt(fluid, state, dt):

@@ -12,9 +12,10 @@ from dpdjax.engine.state import inertias, masses, radii
 from dpdjax.host.io import refuse_existing
 from dpdjax.host.progress import Progress
 from dpdjax.host.run import run_on
+from dpdjax.model.colloids import solvent_reach
 
 DRAWN_RADIUS = 0.5
-"""Radius of beads that are points, for drawing alone [length]."""
+"""Radius of beads that are points, for drawing alone, over the reach of those of the first species."""
 RECORDED = ("position", "velocity", "image", "strain")
 TURNING = ("orientation", "angular_velocity")
 """Recorded too where beads rotate."""
@@ -178,7 +179,7 @@ def _beads(fluid, state) -> dict:
         "types": [chr(ord("A") + k) for k in range(fluid.species)],
         "typeid": np.asarray(state.species, np.uint32),
         "mass": np.asarray(masses(fluid, state), np.float32),
-        "diameter": 2 * np.where(radius > 0, radius, DRAWN_RADIUS).astype(np.float32),
+        "diameter": 2 * np.where(radius > 0, radius, DRAWN_RADIUS * solvent_reach(fluid)).astype(np.float32),
     }
     if state.rotation is not None:
         beads["moment_inertia"] = np.zeros((state.n, 3), np.float32)

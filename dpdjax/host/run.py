@@ -65,6 +65,7 @@ def run_on(line: Progress, fluid, state: State, key, dt, plan: Plan, flow=None, 
     flow = flows.quiet() if flow is None else flow
     state = batched(state, key)
     one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
+    check_plan(plan, state)
     check_run(fluid, one, key, dt, flow)
     if key.ndim:
         check_finite(state)

@@ -15,6 +15,8 @@ from dpdjax.measure.statistics import Estimate
 
 LATTICE = 2.837297
 """Of a simple cubic array of point forces (Hasimoto 1959)."""
+EARLIEST = 1e-8
+"""``nu k^2 t`` of the longest wave of a box from which its waves are added up."""
 
 
 def sphere_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
@@ -85,8 +87,11 @@ def angular_velocity_tail(time, *, kT, viscosity, density, box=None):
 def _wave_sum(nu_t, box, power: int):
     """``sum k^(2 power) exp(-k^2 nu t)`` over the waves of a cube but the zeroth, (times,)."""
     unit = (2 * math.pi / box) ** 2
+    decayed = unit * float(np.min(nu_t))
+    if decayed < EARLIEST:
+        raise ValueError(f"the longest wave has decayed by {decayed:.2g} alone, and the box is not felt yet: leave out box=")
     # The sum over three directions from that over one, in which far waves are dropped once they are nothing.
-    most = int(math.ceil(math.sqrt(40.0 / (unit * max(float(np.min(nu_t)), 1e-12))))) + 1
+    most = int(math.ceil(math.sqrt(40.0 / decayed))) + 1
     squares = unit * np.arange(-most, most + 1) ** 2
     decay = np.exp(-np.multiply.outer(nu_t, squares))
     one, weighted = decay.sum(-1), (decay * squares).sum(-1)

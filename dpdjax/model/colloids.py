@@ -118,6 +118,14 @@ def pure_solvent(fluid: Fluid) -> Fluid:
     raise ValueError("no interaction of the first species with itself; it is no solvent")
 
 
+def solvent_reach(fluid: Fluid) -> float:
+    """How far points of the first species see each other [length]; where they do not, the shortest reach there is."""
+    for among in fluid.interactions:
+        if all(SOLVENT in group for group in among.groups):
+            return max(float(np.max(reach)) for reach in among.reaches(0.0, 0.0, fluid.kT))
+    return min(fluid.reaches())
+
+
 def sphere_volume(radius):
     """``4 pi R^3 / 3``."""
     return 4.0 / 3.0 * math.pi * radius**3
