@@ -120,7 +120,7 @@ def as_frames(values, name: str, components: int = 3) -> np.ndarray:
         wanted = f"(n, {components}), (frames, n, {components}) or (batch, frames, n, {components})"
         raise ValueError(f"{name} has shape {values.shape}; {wanted} is wanted")
     if not np.all(np.isfinite(values)):
-        raise ValueError(f"{name} holds NaN or infinity: the run failed, see trajectory.final.status")
+        raise ValueError(f"{name} holds NaN or infinity: the run failed, see trajectory.failed and trajectory.survivors")
     values = values[None] if values.ndim == 2 else values
     return values.reshape(-1, *values.shape[-3:])
 
