@@ -66,7 +66,7 @@ def test_the_spheres_of_a_state(settled, suspended):
     np.testing.assert_array_equal(some.position[0, 0], settled.position[colloids])
     np.testing.assert_array_equal(some.radius[0], np.asarray(radii(suspended.fluid, settled))[colloids])
     assert some.strain[0, 0] == settled.box.strain != 0 and some.time == settled.time
-    with pytest.raises(ValueError, match="no bead of species 0 has a radius"):
+    with pytest.raises(ValueError, match="species 0 has no radius.*spheres are of species 1"):
         dpd.spheres_of(suspended.fluid, settled, species=0)
     with pytest.raises(TypeError, match=r"not a State; of one state, dpd.spheres_of\(fluid, state\)"):
         dpd.contact_number(settled, gap=0.1)

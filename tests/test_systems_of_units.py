@@ -186,7 +186,7 @@ def ten_steps(system, make, simulate, ten):
     return numbers | reduced(system, after.final, after.frames)
 
 
-@pytest.mark.parametrize("make", [small_suspension, one_marble])
+@pytest.mark.parametrize("make", [small_suspension, pytest.param(one_marble, marks=pytest.mark.slow)])
 @rest_slow("SI, powers of two")
 def test_spheres(in_reduced_units, simulate, ten, make, system):
     """Numbers left out are lengths in r_c and energies in kT, so the same spheres are built and move alike."""
