@@ -51,7 +51,6 @@ def run(
         RunError: positions that became NaN, beads that ran away, in the run or in all members; its ``trajectory``
             holds the frames before.
     """
-    check_plan(plan)
     with Progress(plan, progress) as line:
         return run_on(line, fluid, state, key, dt, plan, flow, observe=observe, lam=lam)
 

@@ -67,14 +67,14 @@ def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
     found = as_spheres(what)
     gap = _gap_of_fluid(what) if gap is None else gap
     positive(gap, "gap")
-    what, gap = found, float(gap)
-    reach, half = 2 * np.max(what.radius) + gap, 0.5 * np.min(what.lengths)
+    gap = float(gap)
+    reach, half = 2 * np.max(found.radius) + gap, 0.5 * np.min(found.lengths)
     if reach > half:
         raise ValueError(
             f"gap is {gap:.6g}: the largest spheres would touch {reach:.6g} apart, above half the shortest side, {half:.6g}; "
             "take a smaller gap or a larger box"
         )
-    return what, gap
+    return found, gap
 
 
 def _gap_of_fluid(what) -> float:

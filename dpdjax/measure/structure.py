@@ -134,7 +134,8 @@ def _configurations(trajectory, box):
 
 def average(series) -> Estimate:
     """Mean of values (batch, frames), its error over blocks of frames; NaN for a single one."""
-    return Estimate(float(np.mean(series)), float(error_of(series)), int(np.prod(pieces_of(series).shape[:2])))
+    batch, frames = series.shape
+    return Estimate(float(np.mean(series)), float(error_of(series)), batch * _pieces_of_each(batch, frames))
 
 
 def error_of(values) -> np.ndarray:
@@ -158,9 +159,14 @@ def error_of(values) -> np.ndarray:
 def pieces_of(values) -> np.ndarray:
     """Means over blocks of frames, (batch, pieces, ...), of values (batch, frames, ...)."""
     batch, frames = values.shape[:2]
-    each = min(frames, -(-PIECES // batch))
+    each = _pieces_of_each(batch, frames)
     length = frames // each
     return values[:, : each * length].reshape(batch, each, length, *values.shape[2:]).mean(axis=2)
+
+
+def _pieces_of_each(batch: int, frames: int) -> int:
+    """Into how many pieces each member is cut."""
+    return min(frames, -(-PIECES // batch))
 
 
 def pieces_of_member(batch: int, frames: int, longest: int) -> int:
