@@ -342,7 +342,7 @@ def check_plan(plan, state=None):
         raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
     if state is None or not is_concrete(state.step):
         return
-    end = int(np.max(state.step)) + plan.steps
+    end = int(np.max(np.asarray(state.step))) + plan.steps
     if end > LAST_STEP:
         raise ValueError(
             f"the run would end at step {end}, and steps, by which the noise is keyed, are counted up to {LAST_STEP}: start the "
