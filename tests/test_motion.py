@@ -15,7 +15,7 @@ from dpdjax.engine.forces import pair_force
 
 
 def relisted(state):
-    fresh = tuple(lists.allocate(n.grid, state.box, state.position) for n in state.neighbours)
+    fresh = tuple(lists.allocate(n.grid, state.box, state.position, state.id) for n in state.neighbours)
     return dataclasses.replace(state.restarted(), neighbours=fresh)
 
 
@@ -65,7 +65,7 @@ def test_beads_at_one_place_part(stacked, one_step):
 
 
 def test_beads_at_one_place_part_alike_in_any_order(stacked, one_step):
-    """The direction goes with the ids, not with the slots."""
+    """The direction goes with the ids where the list does, not with the slots."""
     order = jnp.arange(64).at[jnp.array([5, 9])].set(jnp.array([9, 5]))
     names = ("position", "velocity", "force", "image", "id", "species", "size")
     other = relisted(dataclasses.replace(stacked, **{name: getattr(stacked, name)[order] for name in names}))

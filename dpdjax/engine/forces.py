@@ -67,7 +67,7 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
     """Distance, gap, direction and relative velocity of each pair of ``idx`` (2, pairs).
 
     ``spheres``: whether the first and the second beads have radii at all; ``across``: whether the velocity
-    perpendicular to the line of centres is wanted (static). ``words`` (n,): what keys the direction of beads at one place.
+    perpendicular to the line of centres is wanted (static). ``words``: of the step, which key the direction of beads at one place.
 
     The lab velocities of two beads differ by their peculiar velocities and by
     ``rate y_ij`` of the nearest image, which is the jump across the y-boundary too.
@@ -81,7 +81,7 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
     # Beads at one place are a pair too. Zero is kept out of the root and its derivative.
     apart = square > 0
     inverse = jax.lax.rsqrt(jnp.where(apart, square, 1.0))
-    somewhere = direction_of(beads.id if words is None else words, i, j, square.dtype)
+    somewhere = diagonal_of(words, square.dtype)
     e = tuple(jnp.where(apart, d * inverse, s) for d, s in zip((dx, dy, dz), somewhere))
     vx, vy, vz = (take(c, i) - take(c, j) for c in beads.velocity)
     vx = vx + rate * dy
@@ -99,12 +99,15 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
     return Pairs(idx[0], idx[1], real, r, h, e, approach, past, take(beads.species, i), take(beads.species, j), R_i, R_j)
 
 
-def direction_of(words, i, j, dtype) -> tuple:
-    """One of the diagonals of a cube for each pair, by the words (n,) of its beads; the opposite one where they change places."""
-    a, b = take(words, i), take(words, j)
-    bits = jnp.where(a < b, a + b, ~(a + b)).astype(jnp.uint32)
+def diagonal_of(words, dtype) -> tuple:
+    """A diagonal of a cube by the words (2,) of a step, or a fixed one: where the second bead of a pair sees the first at one place.
+
+    The same for all pairs. One for each would make every pair read the words of its beads here too: a tenth of the pass.
+    """
     side = jnp.asarray(3.0**-0.5, dtype)
-    return tuple(jnp.where(bits & jnp.uint32(1 << k) == 0, side, -side) for k in (31, 30, 29))
+    if words is None:
+        return side, side, side
+    return tuple(jnp.where(words[0] & jnp.uint32(1 << k) == 0, side, -side) for k in (31, 30, 29))
 
 
 def spin_of(beads: Beads, slots) -> tuple:
@@ -227,7 +230,7 @@ def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: W
 
     def add(sums, part):
         net, torque, totals = sums
-        pairs = geometry(fluid, box, beads, interaction, part, rate, words.bead)
+        pairs = geometry(fluid, box, beads, interaction, part, rate, words.step)
         energy, along = central_forces(interaction, fluid.kT, pairs, words, dt)
         across = None if interaction.is_central else transverse_forces(interaction, fluid.kT, pairs, words, dt)
         push = None if across is None else tuple(map(sum, zip(*across.values())))
