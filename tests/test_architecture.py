@@ -1,4 +1,4 @@
-"""Architecture: numbers flow model -> engine -> measure -> calibrate, and imports point the same way."""
+"""Architecture: numbers flow model -> engine -> prepare -> measure -> calibration, and imports point the same way."""
 
 import ast
 import importlib
@@ -11,8 +11,13 @@ import pytest
 import dpdjax
 
 ROOT = pathlib.Path(dpdjax.__file__).parent
-ROOMS = ["model", "engine", "measure", "calibration"]
+ROOMS = ["model", "engine", "prepare", "measure", "calibration"]
 HOST = {"host", "cli"}
+ENGINE = (
+    "compensated compiling status batching noise box rotation advice flow cells neighbours state order forces observables "
+    "step soundness motion record simulate chunk"
+).split()
+"""The files of the engine, each built on those before it."""
 
 
 def name_of(path):
@@ -44,6 +49,14 @@ def test_imports_point_one_way(path):
         room = room_of(module)
         assert room not in HOST, f"{module} belongs to the host side"
         assert room in ROOMS[: own + 1] + ["checks"], f"{module} is further down than {path.name}"
+
+
+def test_the_engine_is_in_order():
+    files = {path.stem: path for path in (ROOT / "engine").glob("*.py") if path.stem != "__init__"}
+    assert sorted(files) == sorted(ENGINE), "ENGINE lists every file"
+    for place, name in enumerate(ENGINE):
+        own = {module.split(".")[2] for module in imports_of(files[name]) if room_of(module) == "engine"}
+        assert own <= set(ENGINE[:place]), f"{name} imports what comes after it"
 
 
 def test_helpers_import_nothing_of_the_package():

@@ -7,7 +7,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
-from dpdjax.engine.cores import START_ENERGY, closest, start_radii
+from dpdjax.prepare.cores import START_ENERGY, closest, start_radii
 
 
 def lennard_jones(h, *, epsilon, sigma):

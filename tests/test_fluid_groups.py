@@ -12,7 +12,7 @@ import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.observables import drag_pressure
-from dpdjax.engine.start import placed, plan_lists
+from dpdjax.prepare.start import placed, plan_lists
 
 
 def refused(kind, *parts):

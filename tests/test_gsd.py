@@ -15,7 +15,7 @@ import pytest
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine.rotation import axis_of
-from dpdjax.engine.start import placed, plan_lists
+from dpdjax.prepare.start import placed, plan_lists
 
 SIDES, DT = np.array([5.0, 4.5, 6.0]), 0.002
 FLOW, PLAN = dpd.shear(1.0), dpd.Plan(8, 40)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpdjax.engine import box as boxes
-from dpdjax.engine import packing
+from dpdjax.prepare import packing
 
 CUBE, SLAB = (1.0, 1.0, 1.0), (1.0, 2.0, 0.8)
 

@@ -21,13 +21,13 @@ from dpdjax.engine.flow import quiet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.simulate import Plan, advance, check_dt
-from dpdjax.engine.start import initial_state
 from dpdjax.engine.state import grow
 from dpdjax.measure.needs import HOT, WARM
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
 from dpdjax.model.laws import central_drag
 from dpdjax.model.term import term
+from dpdjax.prepare.start import initial_state
 
 PIECE = Plan(frames=25, every=40)
 """A run is extended by whole pieces until its error bar is met: one compilation for all."""

@@ -100,7 +100,7 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
 
 
 def diagonal_of(words, dtype) -> tuple:
-    """A diagonal of a cube by the words (2,) of a step, or a fixed one: where the second bead of a pair sees the first at one place.
+    """A diagonal of a cube by the words (2,) of a step, or a fixed one: from the second to the first of two beads at one place.
 
     The same for all pairs. One for each would make every pair read the words of its beads here too: a tenth of the pass.
     """

@@ -14,9 +14,9 @@ from dpdjax.engine import order
 from dpdjax.engine.advice import suggest_dt
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.simulate import Plan, simulate
-from dpdjax.engine.start import initial_state
 from dpdjax.engine.state import State
 from dpdjax.host.run import run
+from dpdjax.prepare.start import initial_state
 
 SETTLE = 400
 """Steps from a random start to a fluid whose lists last as long as they will."""

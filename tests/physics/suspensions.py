@@ -20,10 +20,10 @@ from scipy.interpolate import CubicSpline
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
-from dpdjax.engine import packing
 from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
-from dpdjax.engine.start import placed, plan_lists
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from dpdjax.prepare import packing
+from dpdjax.prepare.start import placed, plan_lists
 
 KEY = jax.random.key(2026)
 KT, MASS = 0.1, 4 * math.pi  # of a colloid of radius 1 in a solvent of density 3

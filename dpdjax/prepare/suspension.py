@@ -8,14 +8,14 @@ import numpy as np
 
 from dpdjax.checks import positive, prng_key
 from dpdjax.engine import box as boxes
-from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt
-from dpdjax.engine.start import placed, plan_lists
 from dpdjax.engine.state import State
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.summary import energies_in_kT
+from dpdjax.prepare import packing
+from dpdjax.prepare.start import placed, plan_lists
 
 SIZE_DOMAIN = 6
 """Folded into the user's key for the sizes of polydisperse colloids."""

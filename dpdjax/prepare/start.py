@@ -7,12 +7,13 @@ import numpy as np
 from dpdjax.checks import is_concrete, not_negative, positive, prng_key
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
-from dpdjax.engine import packing, soundness
+from dpdjax.engine import soundness
 from dpdjax.engine.advice import suggest_dt, suggest_skins
-from dpdjax.engine.cores import START_ENERGY, start_radii
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble, inertia_of
 from dpdjax.model.fluid import Fluid
+from dpdjax.prepare import packing
+from dpdjax.prepare.cores import START_ENERGY, start_radii
 
 POSITION_DOMAIN, VELOCITY_DOMAIN, SPIN_DOMAIN = 2, 3, 8
 """Folded into the user's key, so that one key serves start and noise."""

@@ -7,16 +7,16 @@ import numpy as np
 
 from dpdjax.checks import positive, prng_key
 from dpdjax.engine import box as boxes
-from dpdjax.engine import packing
 from dpdjax.engine.advice import suggest_dt
-from dpdjax.engine.cores import closest
-from dpdjax.engine.start import placed, plan_lists
 from dpdjax.engine.state import State
 from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.marbles import marble_fluid
 from dpdjax.model.summary import energies_in_kT, written
+from dpdjax.prepare import packing
+from dpdjax.prepare.cores import closest
+from dpdjax.prepare.start import placed, plan_lists
 
 
 @dataclasses.dataclass(frozen=True)
