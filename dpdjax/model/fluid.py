@@ -312,7 +312,7 @@ def _warn_of_energies(fluid, kT, given):
         return
     if not np.array_equal(kT, fluid.kT):
         warnings.warn(
-            f"kT is now {summary.written(kT)} and was {summary.written(fluid.kT)}, and potentials keep their coefficients, "
+            f"kT is now {float(kT):.9g} and was {float(fluid.kT):.9g}, and potentials keep their coefficients, "
             'so that they are others in kT: say energies="keep" if that is meant, energies="scale" to keep them the same in kT',
             stacklevel=3,
         )
