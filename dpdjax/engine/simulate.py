@@ -15,6 +15,7 @@ from dpdjax.engine.batching import batch_axes, chosen
 from dpdjax.engine.record import Recorder, averaged, check_names, recorders
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
+from dpdjax.model import summary
 from dpdjax.model.fluid import Fluid
 
 
@@ -44,7 +45,7 @@ class Plan:
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Trajectory:
     """What a run leaves behind.
 
@@ -69,6 +70,15 @@ class Trajectory:
     complete: bool = dataclasses.field(default=True, metadata={"static": True})
     means: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})
     failed: tuple[tuple[int, str], ...] = dataclasses.field(default=(), metadata={"static": True})
+
+    def __repr__(self):
+        recorded = {name: jnp.shape(x) for name, x in self.frames.items() if hasattr(x, "shape")}
+        count = recorded.get("step", (0,))[-1:]
+        head = f"Trajectory({count[0] if count else 0} frames, one in {self.every} steps of {summary.span(self.dt)}"
+        told = ["" if self.complete else "interrupted", f"members {[k for k, _ in self.failed]} failed" if self.failed else ""]
+        head = ", ".join([head, *filter(None, told)])
+        values = ", ".join(f"{name} {shape}" for name, shape in recorded.items())
+        return f"{head}: {values}; final {self.final!r})"
 
     @property
     def interval(self):

@@ -6,11 +6,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from dpdjax.engine import box as boxes
 from dpdjax.engine import neighbours as lists
+from dpdjax.engine import status as bits
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.rotation import Rotation
+from dpdjax.model import summary
 from dpdjax.model.fluid import ORIGINS, Fluid
 
 
@@ -38,7 +41,7 @@ class Tally:
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class State:
     """One configuration of n beads.
 
@@ -80,6 +83,22 @@ class State:
     started: Any
     status: Any
     rotation: Rotation | None = None
+
+    def __repr__(self):
+        shape = getattr(self.position, "shape", ())
+        if len(shape) not in (2, 3):
+            return f"State(position={self.position!r}, ...)"
+        members = f"{shape[0]} members of " if len(shape) == 3 else ""
+        turning = "" if self.rotation is None else f", {self.rotation.m} of which rotate"
+        return f"State({members}{shape[-2]} beads{turning}, {self._whereabouts()})"
+
+    def _whereabouts(self) -> str:
+        if not summary.is_known(self.box, self.step, self.time, self.status):
+            return "numbers not known"
+        sides = " x ".join(summary.span(self.box.lengths[..., k]) for k in range(3))
+        tilt = f" at strain {summary.span(self.box.strain)}" if np.any(self.box.strain) else ""
+        trouble = bits.describe(self.status)
+        return f"box {sides}{tilt}, step {summary.span(self.step)}, time {summary.span(self.time)}" + (trouble and f": {trouble}")
 
     @property
     def n(self) -> int:

@@ -83,7 +83,7 @@ class Fluid:
 
     @property
     def species(self) -> int:
-        return self.mass.shape[-1]
+        return len(self.radius)
 
     @property
     def has_radii(self) -> bool:

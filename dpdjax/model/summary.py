@@ -1,10 +1,11 @@
 """A fluid in words, with its energies in kT."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete
-from dpdjax.model.declare import name_of
+from dpdjax.model.declare import CENTRAL, name_of
 
 GAPS = np.linspace(0.0, 1.0, 401)
 """Shares of the reach at which a potential is looked at for its lowest energy."""
@@ -30,7 +31,7 @@ def full(fluid) -> str:
 
 def energies_in_kT(fluid, interaction, term) -> str:
     """What a potential is at contact, and how deep, in kT; of scans and tables what is largest."""
-    if not is_concrete(fluid) or not np.all(np.asarray(fluid.kT) > 0):
+    if not is_known(fluid) or fluid.kT is None or not np.all(np.asarray(fluid.kT) > 0):
         return "no energies in kT"
     at_contact, depth, where = depth_in_kT(fluid, interaction, term)
     deep = f", {depth:.3g} kT deep at h = {where:.3g}" if depth > 0 else ""
@@ -53,10 +54,34 @@ def depth_in_kT(fluid, interaction, term) -> tuple[float, float, float]:
     return energy[0], -energy[lowest], float(h[lowest])
 
 
+def of_term(term) -> str:
+    """One line: the law with its numbers, and what sets it apart from others of it."""
+    numbers = [f"{name}={written(c)}" for name, c in term.coefficients.items()]
+    numbers += [] if term.cut is None else [f"reach={written(term.cut)}"]
+    numbers += [] if term.projector == CENTRAL else [f"projector={term.projector!r}"]
+    numbers += [] if term.origin is None else [f"origin={term.origin!r}"]
+    return f"{name_of(term.law)}({', '.join(numbers)})"
+
+
+def is_known(*values) -> bool:
+    """Whether all leaves are numbers: not traced, not shapes, not the axes of a batch."""
+    return is_concrete(values) and all(hasattr(leaf, "__array__") for leaf in jax.tree.leaves(values))
+
+
+def span(value) -> str:
+    """The one number that all have, or the least and the largest."""
+    if not is_known(value) or value is None:
+        return written(value)
+    least, largest = float(np.min(np.asarray(value))), float(np.max(np.asarray(value)))
+    return f"{least:.6g}" if least == largest else f"{least:.6g} to {largest:.6g}"
+
+
 def written(value) -> str:
-    """A number, or the numbers of a table or a scan."""
+    """A number, or the numbers of a table or a scan; of what is no number, such as the axes of a batch, what Python says."""
     if not is_concrete(value):
         return f"traced {jnp.shape(value)}"
+    if not isinstance(value, (int, float)) and not hasattr(value, "__array__"):
+        return repr(value)
     return f"{float(value):.6g}" if jnp.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6, separator=", ")
 
 

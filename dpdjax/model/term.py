@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
+from dpdjax.model import summary
 from dpdjax.model.declare import CENTRAL, FULL, TRANSVERSE, check_bounds, known_projector, name_of
 
 GIVEN = ("R_i", "R_j", "kT")
@@ -33,7 +34,7 @@ ALONG, ACROSS = (CENTRAL, FULL), (TRANSVERSE, FULL)
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Term:
     """A law and its coefficients; build it with :func:`term`.
 
@@ -52,6 +53,9 @@ class Term:
     reach: Callable | None = dataclasses.field(default=None, metadata={"static": True})
     origin: str | None = dataclasses.field(default=None, metadata={"static": True})
     projector: str = dataclasses.field(default=CENTRAL, metadata={"static": True})
+
+    def __repr__(self):
+        return summary.of_term(self)
 
     def between(self, table_of=lambda c: c, **given):
         """The law as a function of the gap, and its reach; ``table_of`` looks tables up, ``given`` is of ``GIVEN``."""

@@ -19,7 +19,7 @@ from dpdjax.prepare.cores import closest
 from dpdjax.prepare.start import placed, plan_lists
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Marbles:
     """A fluid with marbles and a state of it; prints what it is made of.
 
@@ -61,6 +61,8 @@ class Marbles:
                 f"kT {float(self.fluid.kT):g}, {self._frictions()}, dt {self.dt:.4g}",
             ]
         )
+
+    __repr__ = __str__
 
     def _frictions(self) -> str:
         """The frictions of the solvent with itself and of the surface."""

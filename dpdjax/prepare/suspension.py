@@ -25,7 +25,7 @@ CUT_DEVIATION = 0.98658
 """Standard deviation of a unit Gaussian cut off there."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Suspension:
     """A fluid with colloids and a state of it; prints what it is made of.
 
@@ -76,6 +76,8 @@ class Suspension:
                 f"one tau is {self.steps_per_tau * self.state.n:.2g} particle-steps (dpdjax bench tells how many a second)",
             ]
         )
+
+    __repr__ = __str__
 
     def _energies(self) -> list[str]:
         """The potentials between colloids, in kT."""
