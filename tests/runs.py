@@ -25,8 +25,10 @@ DT, EVERY, FRAMES = 0.01, 5, 900
 INTERVAL = DT * EVERY
 RATE, AMPLITUDE, FREQUENCY = 0.4, 0.1, 3.0
 WAVE_AMPLITUDE = 0.3
-MEMORY = 0.1
-"""Time the stress of a fluid at rest remembers [time]."""
+LIGHT = 1e-3
+"""Mass and moment of inertia of beads that forget their velocities at once, as random walks do."""
+MEMORY, MOTION = 0.1, 0.2
+"""Times that the stress of a fluid at rest, and the velocities of its beads, are remembered [time]."""
 
 FLOWS = {
     "at rest": lambda number: quiet(),
@@ -61,7 +63,7 @@ def system():
     fluid = dpd.fluid(
         [dpd.term(dpd.soft_repulsion, a=jnp.zeros((2, 2)), r_c=1.0)],
         [dpd.term(dpd.central_drag, gamma=jnp.ones((2, 2)), r_c=1.0, projector="full")],
-        kT=1.0, mass=[1.0, 1.0], radius=[None, RADIUS], inertia=[None, 1.0],
+        kT=1.0, mass=[LIGHT, LIGHT], radius=[None, RADIUS], inertia=[None, LIGHT],
     )
     state = dpd.initial_state(fluid, jax.random.key(0), box=SIDES, n=[POINTS, SPHERES], dt=DT)
     return fluid, state
@@ -136,10 +138,17 @@ def places(rng, state, flow, time):
     period = SIDES[0] / SIDES[1]
     strain = strain - period * np.round(strain / period)
     position, image = jax.vmap(lambda s, x: wrap(Box(jnp.asarray(SIDES), s), x))(jnp.asarray(strain), jnp.asarray(path))
-    velocity = np.sqrt(2 * DIFFUSION / INTERVAL) * rng.normal(size=(count, n, 3))
+    velocity = remembering(rng, DIFFUSION, (count, n, 3))
     return {
         "position": np.asarray(position), "unwrapped": path, "image": np.asarray(image), "velocity": velocity, "strain": strain,
     }
+
+
+def remembering(rng, diffusion, shape):
+    """Velocities (frames, ...) that fade as exp(-t / MOTION) and whose memory adds up, frame by frame, to a diffusion."""
+    kept = np.exp(-INTERVAL / MOTION)
+    spread = np.sqrt(2 * diffusion / INTERVAL * (1 - kept) / (1 + kept) * (1 - kept**2))
+    return lfilter([1.0], [1.0, -kept], spread * rng.normal(size=(shape[0] + 200, *shape[1:])), axis=0)[200:]
 
 
 def tilt(flow, time):
@@ -149,7 +158,7 @@ def tilt(flow, time):
 
 def turns(rng, flow, count):
     """Random turns of the spheres."""
-    omega = np.sqrt(2 * ROTATION / INTERVAL) * rng.normal(size=(count, SPHERES, 3))
+    omega = remembering(rng, ROTATION, (count, SPHERES, 3))
     if hasattr(flow, "twist"):
         omega[..., 0] += ROTATION * TORQUE
     half = 0.5 * INTERVAL * omega

@@ -35,7 +35,11 @@ class Case:
 
 RESTED, STEADY, WAVED = ("at rest",), ("sheared",), ("pushed",)
 UNSHEARED = ("at rest", "pushed", "driven")
-FIT = (0.1, 0.5)
+FIT = (1.0, 1.5)
+AT_ONCE = 6 / runs.INTERVAL * np.tanh(0.5 * runs.INTERVAL / runs.MOTION)
+"""Mean square of a velocity over its diffusion coefficient."""
+HEAD_START = runs.INTERVAL / np.sinh(runs.INTERVAL / runs.MOTION) * (1 - np.exp(-1.0 / runs.MOTION))
+"""By how much the mean square displacement over a time of 1 lags behind that of a random walk, as a time."""
 WITHOUT_DRIFT = DIFFUSION * (1 - 1 / (runs.POINTS + runs.SPHERES))
 """Of beads relative to their centre of mass."""
 CONTACTS = (runs.SPHERES - 1) * 4 / 3 * np.pi * (2 * runs.RADIUS + 0.5) ** 3 / runs.VOLUME
@@ -86,7 +90,7 @@ CASES = {
     "mean_squared_displacement": Case(lambda run: displacement(run, "xyz"), WITHOUT_DRIFT, settled=True),
     "mean_squared_displacement, yz": Case(lambda run: displacement(run, "yz"), WITHOUT_DRIFT, settled=True),
     "velocity_autocorrelation": Case(
-        lambda run: curve_at(dpd.velocity_autocorrelation(run, t_max=1.0), 0, 6 / runs.INTERVAL), WITHOUT_DRIFT, settled=True
+        lambda run: curve_at(dpd.velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE), WITHOUT_DRIFT, settled=True
     ),
     "diffusion": Case(lambda run: dpd.diffusion(run, fit=FIT), WITHOUT_DRIFT, settled=True),
     "diffusion, yz": Case(lambda run: dpd.diffusion(run, fit=FIT, axes="yz"), WITHOUT_DRIFT, settled=True),
@@ -100,11 +104,11 @@ CASES = {
     "bonds": Case(lambda run: dpd.bonds(run, gap=0.5, forms=1.0, t_max=0.2).per_colloid, CONTACTS),
     "bonded_pairs": Case(bonded, CONTACTS),
     "angular_velocity_autocorrelation": Case(
-        lambda run: curve_at(dpd.angular_velocity_autocorrelation(run, t_max=1.0), 0, 6 / runs.INTERVAL),
+        lambda run: curve_at(dpd.angular_velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),
         ROTATION, UNSHEARED, "run without a flow", True,
     ),
     "orientation_correlation": Case(
-        lambda run: curve_at(dpd.orientation_correlation(run, t_max=1.0), -1, np.exp(-2 * ROTATION) / ROTATION),
+        lambda run: curve_at(dpd.orientation_correlation(run, t_max=1.0), -1, np.exp(-2 * ROTATION * (1.0 - HEAD_START)) / ROTATION),
         ROTATION, UNSHEARED, "run without a flow", True,
     ),
     "rotational_diffusion": Case(

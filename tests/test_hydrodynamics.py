@@ -1,9 +1,11 @@
 """Spheres in theory and as measured: periodic formulas, tails, drives and rotation read off made-up runs."""
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -94,11 +96,11 @@ def test_radii_that_cannot_be_fitted():
 H, BATCH, FRAMES = 0.1, 16, 1200
 
 
-def made_up(flow=None, **frames):
+def made_up(flow=None, inertia=0.1, **frames):
     """What a run would leave behind of two solvent beads and one marble of mass 3."""
     species = np.array([0, 0, 1])
     final = SimpleNamespace(species=species, size=np.ones(3), n=3, rotation=SimpleNamespace(slots=slice(2, 3)))
-    fluid = dpd.marble_fluid(kT=2.0, mass=3.0)
+    fluid = dataclasses.replace(dpd.marble_fluid(kT=2.0, mass=3.0), inertia=(None, jnp.asarray(inertia)))
     interval = np.asarray(H)
     return SimpleNamespace(frames=frames, flow=flow or quiet(), final=final, fluid=fluid, interval=interval)
 
@@ -143,7 +145,7 @@ def test_rotational_green_kubo_of_a_relaxing_spin():
     omega[:, 0] = rng.normal(size=(BATCH, 1, 3)) * math.sqrt(0.3)
     for k in range(1, FRAMES):
         omega[:, k] = keep * omega[:, k - 1] + rng.normal(size=(BATCH, 1, 3)) * math.sqrt(0.3 * (1 - keep**2))
-    run = made_up(angular_velocity=omega)
+    run = made_up(angular_velocity=omega, inertia=2.0 / 0.3)
     curve = dpd.angular_velocity_autocorrelation(run, t_max=3.0)
     assert np.all(np.abs(curve.value - 0.9 * np.exp(-2 * curve.time)) < 4.5 * curve.error)
     assert dpd.rotational_diffusion(run, method="vacf", fit=(3.0, 5.0)).deviation(0.15 * 0.2 / 2 / math.tanh(0.1)) < 3.5

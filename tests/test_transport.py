@@ -1,6 +1,7 @@
 """Displacements, velocity memory and diffusion against motions known in closed form."""
 
 import dataclasses
+import warnings
 from types import SimpleNamespace
 
 import jax
@@ -16,12 +17,14 @@ from dpdjax.measure.transport import diffusion, mean_squared_displacement, veloc
 def trajectory(unwrapped, velocity, interval, species=None, mass=(1.0,), flow=None):
     """What a run would leave behind, from arrays (..., frames, n, 3)."""
     species = np.zeros(velocity.shape[-2], int) if species is None else species
+    # Beads that nothing slows in common: no flow of theirs comes back to them.
+    fluid = dpd.fluid([dpd.term(dpd.soft_repulsion, a=np.zeros((len(mass), len(mass))), r_c=1.0)], [], kT=1.0, mass=mass)
     return SimpleNamespace(
         frames={"unwrapped": unwrapped, "velocity": velocity},
         interval=interval,
         flow=quiet() if flow is None else flow,
-        final=SimpleNamespace(species=species, size=np.ones(len(species))),
-        fluid=SimpleNamespace(mass=np.array(mass), batch_axes=lambda: None),
+        final=SimpleNamespace(species=species, size=np.ones(len(species)), box=SimpleNamespace(lengths=np.full(3, 10.0))),
+        fluid=fluid,
     )
 
 
@@ -98,9 +101,49 @@ def test_brownian_diffusion(brownian, method):
     assert diffusion(brownian, method=method).deviation(KEPT / RATE) < 3.5
 
 
-def test_a_fit_of_ballistic_lags_is_warned_of(brownian):
+@pytest.mark.parametrize("method", ["msd", "vacf"])
+def test_lags_at_which_velocities_are_remembered(brownian, method):
+    """A memory ``exp(-2 t)`` leaves ``D exp(-2 t)`` to come: refused where that is a quarter, else told as what it is."""
+    with pytest.raises(ValueError, match=r"between lags of 0.1 and 0.4 the velocities are not yet forgotten.* fit later lags, fit="):
+        diffusion(brownian, method=method, fit=(0.1, 0.4))
+    with pytest.warns(UserWarning, match="velocities are still remembered.*too small by about") as told:
+        found = diffusion(brownian, method=method, fit=(0.8, 1.2))
+    missing = float(str(told[0].message).split("too small by about ")[1].split(",")[0])
+    assert missing == pytest.approx(np.exp(-2.0) / RATE, rel=0.15)
+    assert found.value + missing == pytest.approx(KEPT / RATE, abs=3.5 * found.error)
+    later = str(told[0].message).split("fit=(")[1].split(")")[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert diffusion(brownian, method=method, fit=tuple(map(float, later.split(", ")))).deviation(KEPT / RATE) < 3.5
+
+
+def test_short_runs_have_no_diffusion(brownian):
+    """Whatever is fitted by default."""
+    for frames in (60, 120):
+        short = SimpleNamespace(**vars(brownian))
+        short.frames = {name: values[:frames] for name, values in brownian.frames.items()}
+        for method in ("msd", "vacf"):
+            with pytest.raises(ValueError, match="not yet forgotten"):
+                diffusion(short, method=method)
+
+
+def test_a_curve_that_bends_otherwise_is_not_straight(brownian):
+    """Where beads are so light that they forget at once, and yet speed up."""
+    light = SimpleNamespace(**vars(brownian))
+    light.fluid = brownian.fluid.set(kT=1e3, energies="keep")
     with pytest.warns(UserWarning, match="not yet straight between 0.1 and 1: its slope grows by"):
-        diffusion(brownian, fit=(0.1, 1.0))
+        diffusion(light, fit=(0.1, 1.0))
+
+
+def test_frames_too_far_apart_to_integrate():
+    rng = np.random.default_rng(6)
+    coarse = trajectory(*langevin(rng, np.full(BEADS, RATE), 3000, 0.5), 0.5)
+    with pytest.warns(UserWarning, match="frames 0.5 apart are too far for the integral.*too large by about"):
+        found = diffusion(coarse, method="vacf", fit=(4.0, 8.0))
+    assert found.value > 0.53
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert diffusion(coarse, fit=(4.0, 8.0)).deviation(KEPT / RATE) < 3.5
 
 
 @pytest.mark.filterwarnings("error")
@@ -150,8 +193,8 @@ def test_one_species_recorded_alone():
     for measure in (mean_squared_displacement, velocity_autocorrelation):
         a, b = measure(whole, species=1), measure(alone, species=1)
         assert np.allclose(a.value, b.value) and np.allclose(a.error, b.error)
-    D = diffusion(alone, species=1, fit=(0.5, 1.0))
-    assert D.value == pytest.approx(diffusion(whole, species=1, fit=(0.5, 1.0)).value)
+    D = diffusion(alone, species=1, fit=(3.0, 4.0))
+    assert D.value == pytest.approx(diffusion(whole, species=1, fit=(3.0, 4.0)).value)
     for wrong in (None, 0):
         with pytest.raises(ValueError, match="recorded 8 of its 20 beads, not the .* to be measured; name their species"):
             diffusion(alone, species=wrong)

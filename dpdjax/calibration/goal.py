@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from dpdjax.engine import flow as flows
-from dpdjax.engine.advice import damping_rate, drag_viscosity, thermal_time
+from dpdjax.engine.advice import damping_rate, kinetic_theory_viscosity, thermal_time
 from dpdjax.engine.observables import pressure_tensor, static_pressure, temperature
 
 
@@ -93,8 +93,9 @@ def damped(fluid, density: float) -> float:
 
 
 def rough_viscosity(fluid, density: float) -> float:
-    """Kinetic theory without correlations, ``rho m D / 2`` and the drag stress (Marsh et al. 1997); 40 % off."""
-    return 0.5 * density * float(fluid.kT) / damped(fluid, density) + drag_viscosity(fluid, density)
+    """:func:`kinetic_theory_viscosity` of a fluid with drag, and ValueError as :func:`damped`."""
+    damped(fluid, density)
+    return kinetic_theory_viscosity(fluid, density)
 
 
 HEATING = 2.5

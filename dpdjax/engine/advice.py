@@ -193,6 +193,14 @@ def drag_viscosity(fluid: Fluid, density: float) -> float:
     return 2 * math.pi / 15 * density**2 * sum(share * integral for share, integral in fourth)
 
 
+def kinetic_theory_viscosity(fluid: Fluid, density: float) -> float:
+    """The viscosity without correlations, ``rho m D / 2`` and :func:`drag_viscosity` (Marsh et al. 1997); 40 % off.
+
+    Infinite without drag.
+    """
+    return _over(0.5 * density * float(fluid.kT), damping_rate(fluid, density)) + drag_viscosity(fluid, density)
+
+
 def repulsion_energy(fluid: Fluid, density) -> float:
     """Mean-field repulsion of a solvent bead, ``density`` times the integral of the potentials, at least 0 [energy]."""
     densities = _densities(fluid, density)

@@ -7,11 +7,15 @@ Recorded with ``observe=dpd.rotations``. Error bars come from pieces in time and
 import dataclasses
 import warnings
 
+import jax
 import numpy as np
 
 from dpdjax.engine.rotation import axis_of
+from dpdjax.engine.state import inertias
 from dpdjax.measure import needs, transport
+from dpdjax.measure.forgetting import Memory
 from dpdjax.measure.reading import recorded
+from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate
 from dpdjax.measure.structure import draw, standard_error
 from dpdjax.measure.transport import correlated, read_diffusion
@@ -77,7 +81,7 @@ def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, f
         trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
         method: ``"msd"`` or ``"vacf"``.
         fit: first and last lag [time], after the spin is forgotten; by default the later half of the lags that leave 12
-            independent pieces, which in a short run is too early.
+            independent pieces.
 
     Raises ValueError as :func:`dpdjax.diffusion` does, for frames so far apart that turns are lost count of, and spheres
     that no friction turns, as with ``coupling="central"``.
@@ -87,10 +91,19 @@ def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, f
     needs.finished(trajectory)
     check_turned(trajectory.fluid, trajectory.fluid.rotating)
     if method == "vacf":
-        values = _unsheared(trajectory, "angular_velocity")
-        return read_diffusion(trajectory, values, values.shape, transport.autocorrelation, transport.green_kubo_integral, fit)
-    angle = angle_turned(_orientations(trajectory))
-    return read_diffusion(trajectory, angle, angle.shape, transport.squared_displacement, transport.einstein, fit)
+        values, how = _unsheared(trajectory, "angular_velocity"), (transport.autocorrelation, transport.green_kubo_integral)
+    else:
+        values, how = angle_turned(_orientations(trajectory)), (transport.squared_displacement, transport.einstein)
+    # The tail of the spin, of the power 5/2, leaves too little out to be looked after.
+    memory = Memory(_inertia(trajectory), shared(trajectory.fluid.kT))
+    return read_diffusion(trajectory, values, values.shape, *how, fit, memory)
+
+
+def _inertia(trajectory) -> float:
+    """Mean moment of inertia of the beads that rotate."""
+    final = trajectory.final
+    of_all = jax.vmap(inertias, (trajectory.fluid.batch_axes(), 0)) if np.ndim(final.species) == 2 else inertias
+    return float(np.mean(of_all(trajectory.fluid, final)))
 
 
 def check_turned(fluid, species):

@@ -12,6 +12,7 @@ import warnings
 import numpy as np
 
 from dpdjax.measure import needs
+from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
 from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate, from_replicas
@@ -19,6 +20,8 @@ from dpdjax.measure.structure import PIECES, draw, pieces_of_member, standard_er
 
 BEADS_AT_ONCE = 256
 """Beads Fourier-transformed at a time."""
+LEAST_PIECES = 4
+"""Independent pieces that tell an error."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,32 +136,46 @@ def diffusion(
         species: index of the species looked at, or None for every bead.
         axes: of the displacement that count, as in :func:`mean_squared_displacement`.
 
+    Warns, with lags that would do, where what velocities remember beyond those of ``fit`` is more than the error: of the drag,
+    and of the flow that beads have stirred up, by kinetic theory (:mod:`dpdjax.measure.forgetting`); where the slope of the
+    displacements still grows; and where frames are too far apart to integrate.
+
     Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves fewer than 4
-    independent pieces, and as :func:`mean_squared_displacement` does.
+    independent pieces, lags at which beads still fly as they started, and as :func:`mean_squared_displacement` does.
     """
     readings = {"msd": ("position", squared_displacement, einstein), "vacf": ("velocity", autocorrelation, green_kubo_integral)}
     if method not in readings:
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
     name, correlate, read = readings[method]
     members, shape = _of_species(trajectory, name, species, axes)
-    return read_diffusion(trajectory, members, shape, correlate, read, fit).scaled(3.0 / len(axes))
+    memory = memory_of_beads(trajectory, chosen_beads(trajectory, species), bead_masses(trajectory)[0], species_of(trajectory))
+    return read_diffusion(trajectory, members, shape, correlate, read, fit, memory, 3.0 / len(axes))
 
 
-def read_diffusion(trajectory, members, shape, correlate, read, fit: tuple[float, float] | None) -> Estimate:
-    """A diffusion coefficient from what ``correlate`` makes of each member, by ``read`` over ``fit``; see :func:`correlated`."""
+def read_diffusion(
+    trajectory, members, shape, correlate, read, fit: tuple[float, float] | None, memory: Memory, factor: float = 1.0
+) -> Estimate:
+    """A diffusion coefficient, ``factor`` times that of what ``correlate`` makes of each member by ``read`` over ``fit``.
+
+    See :func:`correlated`, and :func:`is_forgotten` for ``memory``.
+    """
     time, curves = correlated(trajectory, members, shape, correlate, None if fit is None else fit[1])
     window = _window(time, (0.5 * time[-1], time[-1]) if fit is None else fit)
-    if len(curves) < 4:
+    if len(curves) < LEAST_PIECES:
         raise ValueError(
             f"{len(curves)} independent pieces give no error bar; run 8 times as long as the last lag "
             f"of the fit, {time[-1]:.4g}, or several replicas"
         )
-    if read is einstein:
-        _check_straight(time, curves, window)
-    return from_replicas(read(time, curves, window))
+    found = from_replicas(read(time, curves, window)).scaled(factor)
+    forgotten = is_forgotten(memory, found, time[window], LEAST_PIECES if fit else PIECES)
+    if read is green_kubo_integral:
+        _check_close(time, factor * curves, window, found)
+    elif forgotten:
+        _check_straight(time, factor * curves, window, found)
+    return found
 
 
-def _check_straight(time, curves, window):
+def _check_straight(time, curves, window, found: Estimate):
     """Warn where displacements still speed up over the lags of a fit: the slope there is not that of diffusion."""
     lags = np.flatnonzero(window)
     if len(lags) < 4:
@@ -168,7 +185,21 @@ def _check_straight(time, curves, window):
     if change.mean() > max(0.1 * early.mean(), 3 * change.std(ddof=1) / np.sqrt(len(change))):
         warnings.warn(
             f"the mean squared displacement is not yet straight between {time[lags[0]]:.4g} and {time[lags[-1]]:.4g}: its slope "
-            f"grows by {change.mean() / early.mean():.0%} within, so D is too small; run longer, or fit later lags, fit=(...)",
+            f"grows by {change.mean() / early.mean():.0%} within, so {found} is too small; run longer, or fit later lags, fit=(...)",
+            stacklevel=4,
+        )
+
+
+def _check_close(time, curves, window, found: Estimate):
+    """Warn where frames are too far apart for the integral of a velocity autocorrelation, by the one of every other frame."""
+    even = slice(0, len(time) // 2 * 2 + 1, 2)
+    coarse = green_kubo_integral(time[even], curves[:, even], window[even]) if np.any(window[even]) else np.nan
+    # The trapezoidal rule is off by the square of the step: by a third of what doubling it changes.
+    off = float(np.mean(coarse - green_kubo_integral(time, curves, window))) / 3
+    if off > found.error:
+        warnings.warn(
+            f"frames {time[1]:.3g} apart are too far for the integral of the velocity autocorrelation, which is too large by about "
+            f'{off:.2g}, more than the error of {found}; record closer frames, or use method="msd"',
             stacklevel=4,
         )
 
