@@ -1,32 +1,66 @@
-"""Telling a run whose beads end far from the temperature they were given."""
+"""Telling a run whose beads are not at the temperature they were given."""
 
 import warnings
 
 import jax
 import numpy as np
+from scipy.stats import kendalltau
 
 from dpdjax.engine.observables import temperature
-from dpdjax.measure.needs import HOT
+from dpdjax.measure.needs import HOT, RARELY, is_off
 
 FLUCTUATIONS = 5.0
 """Standard deviations of the temperature of few beads that are no excess."""
 
 
-def warn_if_hot(fluid, state, flow, stacklevel: int = 3):
-    """Warns, with the likely cause, where the beads of a state, or of a member of a batch, are well above kT."""
+def warn_if_hot(trajectory, stacklevel: int = 3):
+    """Warns, with the likely cause, where beads end well above kT, or are steadily off it in the later half of the run.
+
+    Of a batch the worst member is told.
+    """
+    fluid, state = trajectory.fluid, trajectory.final
     if not any(i.drag for i in fluid.interactions):
         return
     observe = jax.vmap(temperature, (fluid.batch_axes(), 0)) if np.ndim(state.position) == 3 else temperature
-    measured, kT = np.atleast_1d(np.asarray(observe(fluid, state), float)), np.asarray(fluid.kT, float)
+    last = np.atleast_1d(np.asarray(observe(fluid, state), float))
+    kT = np.broadcast_to(np.asarray(fluid.kT, float), last.shape)
+    recorded = np.atleast_2d(np.asarray(trajectory.frames.get("temperature", np.nan), float))
+    recorded = np.broadcast_to(recorded, (len(last), recorded.shape[1]))
     allowed = 1.0 + HOT + FLUCTUATIONS * np.sqrt(2.0 / (3 * state.n - 3))
-    hot = np.isfinite(measured) & (measured > allowed * kT) & (kT > 0)
-    if hot.any():
-        worst = int(np.argmax(np.where(hot, measured / np.where(kT > 0, kT, 1.0), 0.0)))
-        warnings.warn(_told(measured[worst], np.broadcast_to(kT, measured.shape)[worst], flow), stacklevel=stacklevel)
+    told = [_told(*of, allowed, trajectory.flow) for of in zip(last, kT, recorded)]
+    excess = [abs(found[0]) if found else 0.0 for found in told]
+    if any(told):
+        worst = int(np.argmax(excess))
+        member = f"member {worst}: " if np.ndim(state.position) == 3 else ""
+        warnings.warn(member + told[worst][1], stacklevel=stacklevel)
 
 
-def _told(measured: float, kT: float, flow) -> str:
-    ends = f"the run ends at a kinetic temperature of {measured:.3g}, {measured / kT:.3g} times its kT = {kT:.3g}"
+def _told(last: float, kT: float, recorded, allowed: float, flow):
+    """The excess over kT and what to say of it; None where there is none."""
+    later = recorded[len(recorded) // 2 :]
+    if np.isfinite(last) and kT > 0 and last > allowed * kT:
+        ends = f"the run ends at a kinetic temperature of {last:.3g}, {last / kT:.3g} times its kT = {kT:.3g}"
+        return last / kT - 1, f"{ends}: {_cause(flow, _drifts(recorded))}"
+    steady = None if _drifts(later) else is_off(later, kT)
+    if steady is None:
+        return None
+    stays = f"the later half of the run is steadily at a kinetic temperature of {steady:.4g} where kT is {kT:.4g}"
+    return steady / kT - 1, f"{stays}: {_cause(flow, 0)}"
+
+
+def _drifts(series) -> int:
+    """-1 for a series that falls, 1 for one that rises, 0 for one that does neither or is too short to tell."""
+    if len(series) < 4 or not np.all(np.isfinite(series)) or np.ptp(series) == 0:
+        return 0
+    found = kendalltau(np.arange(len(series)), series)
+    return int(np.sign(found.statistic)) if found.pvalue < RARELY else 0
+
+
+def _cause(flow, drifts: int) -> str:
+    if drifts < 0:
+        return "it still cools from its start; run on before measuring"
     if np.any(np.asarray(flow.rate) != 0):
-        return f"{ends}: the shear heats it faster than drag cools it; use a smaller rate"
-    return f"{ends}: it still cools from its start, or dt is too large; run on before measuring, or use a smaller dt"
+        return "the shear heats it faster than drag cools it, or dt is too large; use a smaller rate, or a smaller dt"
+    if drifts > 0:
+        return "it heats up; use a smaller dt or, where a force drives it, a smaller one"
+    return "dt is too large, dpd.suggest_dt gives one that is not, or it still cools from its start"

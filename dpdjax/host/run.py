@@ -98,10 +98,11 @@ def run_on(line: Progress, fluid, state: State, key, dt, plan: Plan, flow=None, 
             line.advance(chunk.frames)
     except KeyboardInterrupt:
         line.interrupted()
-    warn_if_hot(fluid, state, flow, stacklevel=4)
+    trajectory = _trajectory(state, pieces, numbers, plan, done == plan.frames, failed)
+    warn_if_hot(trajectory, stacklevel=4)
     for member in failed.values():
         warnings.warn(f"{member}; the others went on: trajectory.survivors", stacklevel=3)
-    return _trajectory(state, pieces, numbers, plan, done == plan.frames, failed)
+    return trajectory
 
 
 def chunk_frames(plan: Plan, beads: int) -> int:

@@ -7,15 +7,16 @@ from scipy.stats import kendalltau
 
 from dpdjax.checks import is_concrete
 from dpdjax.engine.flow import Flow
+from dpdjax.measure.statistics import block_average
 
 RARELY = 1e-3
 """How often a stationary series is told to drift."""
 PIECES = 10
 """Stretches of a series whose means are looked at for a trend: longer than the series remembers."""
-
-
-HOT, WARM = 0.25, 0.05
-"""Shares of kT by which the kinetic temperature may be off before a run or a calibration objects, and before a measure says so."""
+HOT, WARM, OFF = 0.25, 0.05, 0.02
+"""Shares of kT by which the kinetic temperature may be off: at the end of a run, on average, and on average beyond doubt."""
+SURELY = 4.0
+"""Standard errors by which a temperature is off beyond doubt."""
 
 
 def finished(trajectory):
@@ -42,17 +43,46 @@ def finite(frames: dict):
 
 
 def warn_of_heat(trajectory, frames: dict):
-    """Warns where the kinetic temperature that was recorded is not that of the fluid."""
-    if "temperature" not in frames:
+    """Warns where the kinetic temperature that was recorded, or that of recorded velocities, is not that of the fluid."""
+    if "temperature" in frames:
+        series = frames["temperature"]
+    elif "velocity" in frames and "velocity" not in getattr(trajectory, "means", ()):
+        series = _temperature_of(trajectory, np.asarray(frames["velocity"], float))
+    else:
         return
     kT = float(np.mean(np.asarray(trajectory.fluid.kT, float)))
-    measured = float(np.mean(frames["temperature"]))
-    if kT > 0 and abs(measured / kT - 1.0) > WARM:
+    measured = is_off(series, kT)
+    if measured is not None:
         warnings.warn(
             f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of that temperature: "
             "use a smaller shear rate or dt, or leave out more of the start, skip=...",
             stacklevel=3,
         )
+
+
+def is_off(temperatures, kT: float):
+    """The mean of temperatures (frames,) or (replicas, frames) where it is far from kT, or not kT beyond doubt; else None."""
+    series = np.atleast_2d(np.asarray(temperatures, float))
+    if kT <= 0 or series.size < 4 or not np.all(np.isfinite(series)):
+        return None
+    found = block_average(series)
+    share = abs(found.value / kT - 1.0)
+    return found.value if share > WARM or (share > OFF and found.deviation(kT) > SURELY) else None
+
+
+def _temperature_of(trajectory, velocity):
+    """Of each frame, (..., frames), from velocities (..., frames, n, 3) of all beads; NaN of some of them alone.
+
+    Three momenta are fixed.
+    """
+    species = np.asarray(trajectory.final.species)
+    species = species.reshape(-1, species.shape[-1])[0]
+    if len(species) != velocity.shape[-2] or len(species) < 2:
+        return np.nan
+    mass = np.asarray(trajectory.fluid.mass, float)
+    size = np.asarray(trajectory.final.size, float).reshape(-1, len(species))[0]
+    of_bead = mass.reshape(-1, mass.shape[-1])[0][species] * size**3
+    return np.einsum("n,...nc,...nc->...", of_bead, velocity, velocity) / (3 * len(species) - 3)
 
 
 def is_sheared(trajectory) -> bool:

@@ -12,6 +12,7 @@ A batched trajectory is taken as replicas of one system: its members are pooled,
 
 import functools
 import math
+import warnings
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -31,6 +32,10 @@ from dpdjax.engine.record import Recorder, integral, mean
 from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+
+
+CLEARLY, LIKELY = 3.0, 0.5
+"""Standard errors at which something is there, and the share of an error above which it is told of."""
 
 
 def shear_viscosity(trajectory, *, skip: float = 0.1, blocks: int = 20, control: bool = True) -> Estimate:
@@ -109,6 +114,8 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
         skip: share of the frames left out at the start.
         blocks: independent pieces for the error bar.
 
+    Warns where the stress is still remembered at the end of the window.
+
     Raises ValueError for a run that was driven.
     """
     needs.finished(trajectory)
@@ -117,15 +124,32 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
     dt, volume, kT = _constants(trajectory)
     lags = max(1, round(window / (dt * trajectory.every)))
     early, late = _irreducible(frames["reversed_flux"]), _irreducible(frames["flux"])
-    delayed = []
-    for k in _pieces(early.shape, blocks, lags):
-        correlation = _correlate(early[k], late[k], lags)
-        correlation[0] *= 0.5
-        correlation[-1] *= 0.5
-        delayed.append(correlation.sum() * dt * trajectory.every * volume / kT)
+    pieces = [_correlate(early[k], late[k], lags) for k in _pieces(early.shape, blocks, lags)]
+    correlation = np.array(pieces) * volume / kT
+    interval = dt * trajectory.every
     instant = block_average(frames["instantaneous_viscosity"], blocks)
-    later = from_replicas(delayed)
-    return Estimate(instant.value + later.value, math.hypot(instant.error, later.error), later.blocks)
+    later = from_replicas(np.trapezoid(correlation, dx=interval, axis=1))
+    found = Estimate(instant.value + later.value, math.hypot(instant.error, later.error), later.blocks)
+    _warn_unfaded(correlation, interval, later, found)
+    return found
+
+
+def _warn_unfaded(correlation, interval: float, later: Estimate, found: Estimate):
+    """Warn where correlations (pieces, lags) are cut off before they have faded, by what they would leave if they faded evenly."""
+    lags = correlation.shape[1]
+    last = from_replicas(correlation[:, -max(1, lags // 4) :].mean(axis=1))
+    first = float(correlation[:, 0].mean())
+    if last.deviation(0.0) < CLEARLY:
+        return
+    # Of an even decay; what has not decayed at all leaves out no number that could be told.
+    missing = last.value * later.value / (first - last.value) if first > last.value else math.inf
+    if abs(missing) > LIKELY * found.error:
+        rest = f"about {missing:.2g}" if math.isfinite(missing) else "most of it"
+        warnings.warn(
+            f"the stress is still remembered at the end of the window, to {last.value / first:.0%} of what it was, and the viscosity "
+            f"{found} leaves out {rest}; give a longer window, a few times {interval * lags:.3g}",
+            stacklevel=3,
+        )
 
 
 einstein_helfand_record = [
@@ -135,7 +159,9 @@ einstein_helfand_record = [
 """What :func:`einstein_helfand` needs: the whole stress, summed over every step."""
 
 
-def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: float = 0.0, blocks: int = 16) -> Estimate:
+def einstein_helfand(
+    trajectory, *, window: float, start: float | None = None, skip: float = 0.0, blocks: int = 16
+) -> Estimate:
     """Viscosity from the growth of the integrated stress of a fluid in equilibrium.
 
     The slope of ``V <(integral_0^t P_xy)^2> / 2 kT`` between ``start`` and ``window``
@@ -144,8 +170,11 @@ def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: flo
 
     Args:
         trajectory: a run with ``observe=dpd.einstein_helfand_record``, one or replicas.
-        window, start: times between which the slope is taken [time].
+        window, start: times between which the slope is taken [time], after the stress is forgotten; from half the window on
+            unless told otherwise.
         skip, blocks: as in :func:`green_kubo`.
+
+    Warns where the integral still grows faster and faster, or slower, between these times.
 
     Raises ValueError for a run that was driven.
     """
@@ -154,14 +183,33 @@ def einstein_helfand(trajectory, *, window: float, start: float = 0.0, skip: flo
     frames = _later(trajectory, skip, need="flux_integral")
     dt, volume, kT = _constants(trajectory)
     interval = dt * trajectory.every
-    first, last = round(start / interval), max(round(window / interval), round(start / interval) + 1)
+    first = round((0.5 * window if start is None else start) / interval)
+    last = max(round(window / interval), first + 1)
+    middle = (first + last) // 2
     jumps = _irreducible(frames["flux_integral"])
-    slopes = []
-    for k in _pieces(jumps.shape, blocks, last):
-        walk = np.concatenate([np.zeros_like(jumps[k][:1]), np.cumsum(jumps[k], axis=0)])
-        growth = [np.mean(np.sum((walk[m:] - walk[:-m]) ** 2, axis=-1)) if m else 0.0 for m in (first, last)]
-        slopes.append(volume / (2 * kT) * (growth[1] - growth[0]) / ((last - first) * interval))
-    return from_replicas(slopes)
+    growth = np.array([_growth(jumps[k], (first, middle, last)) for k in _pieces(jumps.shape, blocks, last)])
+    slope = lambda a, b, m, n: volume / (2 * kT) * (growth[:, b] - growth[:, a]) / ((n - m) * interval)
+    found = from_replicas(slope(0, 2, first, last))
+    if middle > first:
+        _warn_bent(slope(0, 1, first, middle), slope(1, 2, middle, last), found)
+    return found
+
+
+def _growth(jumps, lags):
+    """Mean square of what jumps (frames, ...) add up to over each of some lags."""
+    walk = np.concatenate([np.zeros_like(jumps[:1]), np.cumsum(jumps, axis=0)])
+    return [np.mean(np.sum((walk[m:] - walk[:-m]) ** 2, axis=-1)) if m else 0.0 for m in lags]
+
+
+def _warn_bent(early, late, found: Estimate):
+    """Warn where slopes (pieces,) of the later half differ from those of the earlier one by more than errors explain."""
+    change = from_replicas(late - early)
+    if change.deviation(0.0) > CLEARLY and abs(change.value) > LIKELY * found.error:
+        warnings.warn(
+            f"the integral of the stress is not yet straight: its slope changes by {change.value:.2g} between the two halves of the "
+            f"window, and the viscosity {found} is off; start later, start=..., or give a longer window",
+            stacklevel=3,
+        )
 
 
 @functools.cache
