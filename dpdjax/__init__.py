@@ -13,7 +13,7 @@ _HOMES = {
         "morse", "scaled_contact", "scripts_repulsion", "solvent_cut", "squeezing_lubrication", "unequal_lubrication", "yukawa",
     ],
     "dpdjax.model.marble_laws": ["shifted_repulsion", "surface_drag"],
-    "dpdjax.model.declare": ["attracts", "bounded", "of_viscosity", "projected", "proportional_to", "reaches"],
+    "dpdjax.model.declare": ["attracts", "bounded", "friction", "of_viscosity", "potential", "projected", "proportional_to", "reaches"],
     "dpdjax.model.term": ["Term", "term"],
     "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid", "interaction"],
     "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time", "pure_solvent"],
@@ -80,7 +80,9 @@ __version__ = "0.1.0"
 
 def __getattr__(name):
     if name not in _HOME_OF:
-        near = [_ELSEWHERE[name.lower()]] if name.lower() in _ELSEWHERE else difflib.get_close_matches(name, __all__)
+        known = {other: other for other in __all__} | _ELSEWHERE
+        close = [name.lower()] if name.lower() in _ELSEWHERE else difflib.get_close_matches(name, known)
+        near = dict.fromkeys(known[other] for other in close)
         raise AttributeError(f"dpdjax has no {name!r}" + (f"; near is dpd.{' or dpd.'.join(near)}" if near else ""))
     value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value

@@ -121,6 +121,10 @@ def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
     assert not kept.failed and np.array_equal(kept.flow.rate, [0.2, 0.4])
     jax.tree.map(np.testing.assert_array_equal, kept.frames, well[[0, 2]].frames)
     jax.tree.map(np.testing.assert_array_equal, kept.final.position, well[[0, 2]].final.position)
+    with pytest.raises(ValueError, match=r"the run failed: member 1 \(rate = 90.\) of 3 stopped.*measure the others, trajectory.survivors"):
+        dpd.shear_viscosity(run)
+    with pytest.raises(ValueError, match=r"the run failed: member 1 .*the survivors of the batch it was in"):
+        dpd.shear_viscosity(run[1])
     with pytest.raises(dpd.RunError, match=r"member 0 \(rate = 80.\) of 3 .*member 2") as caught:
         go([80.0, 90.0, 100.0])
     with pytest.raises(ValueError, match="all 3 members failed"):
@@ -130,3 +134,13 @@ def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
 def test_a_grid_of_keys_is_told_what_to_give(water, fresh, key):
     with pytest.raises(ValueError, match=r"shape \(3, 3\); give a vector of them, keys.reshape\(-1\)"):
         dpd.run(water, fresh, jax.random.split(key, (3, 3)), 0.01, dpd.Plan(1))
+
+
+def test_beads_that_no_list_holds(water, fresh, key):
+    """An attraction without a core: lists grow and grow; the cure is no larger list."""
+    told = "the beads crowd together until no neighbour list holds them; give repulsions"
+    with pytest.warns(UserWarning, match=rf"member 1 \(a = -300.\) of 2 .*{told}"):
+        run = dpd.run(
+            water.set(a=jnp.array([25.0, -300.0])), fresh, jax.random.split(key, 2), 0.005, dpd.Plan(20, 100), progress=False
+        )
+    assert [k for k, _ in run.failed] == [1] and "overflow" not in run.failed[0][1]

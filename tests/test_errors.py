@@ -308,3 +308,49 @@ def test_wrong_shapes(water, fresh, key):
         dpd.simulate(water.set(gamma=jnp.ones(3)), fresh, key, 0.01, PLAN)
     with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
         dpd.simulate(water, fresh, key, jnp.array([0.01, 0.02]), PLAN)
+
+
+@pytest.mark.parametrize("wrong", [lambda fluid, state: state, lambda fluid, state: None, lambda fluid, state: {"x": fluid}])
+def test_observables_that_record_nothing(water, fresh, key, wrong):
+    """They were recorded as nothing at all, without a word."""
+    for door in (dpd.simulate, dpd.run):
+        with refused(TypeError, "lambda> returns", "dict of arrays by name"):
+            door(water, fresh, key, 0.01, PLAN, observe=wrong)
+
+
+def test_laws_in_the_other_place():
+    with refused(ValueError, "central_drag is a friction and was given as a potential", "drag=[...]"):
+        dpd.fluid([drag()], kT=1.0)
+    with refused(ValueError, "soft_repulsion is a potential and was given as a friction", "conservative=[...]"):
+        dpd.interaction((0, 0), drag=[repulsion()])
+    with refused(ValueError, "soft_repulsion is a potential", "conservative=[...]"):
+        dpd.interaction((0, 0), drag=[drag()], random=[repulsion()])
+
+
+@pytest.mark.parametrize("declare", [dpd.bounded(gama="positive"), dpd.proportional_to("gama"), dpd.of_viscosity("gama")])
+def test_declarations_of_what_a_law_does_not_take(declare):
+    @declare
+    def law(h, *, gamma, r_c):
+        return gamma * (1 - h / r_c)
+
+    with refused(TypeError, "law declares something of gama", "it takes gamma, r_c"):
+        dpd.term(law, gamma=1.0, r_c=1.0)
+
+
+def test_a_step_too_long_for_one_member_names_it(water, fresh, key):
+    keys = jax.random.split(key, 3)
+    with refused(ValueError, "member 2 (gamma = 10000.): dt 0.01 is too large for the drag", "use dt = 3e-06"):
+        dpd.run(water.set(gamma=jnp.array([2.0, 4.5, 1e4])), fresh, keys, 0.01, PLAN, progress=False)
+    with refused(ValueError, "member 1 (dt = 1.): dt 1 is too large"):
+        dpd.run(water, fresh, keys, jnp.array([0.01, 1.0, 0.01]), PLAN, progress=False)
+
+
+def test_positions_that_leave_most_of_the_box_empty_are_told(fresh):
+    side = float(fresh.box.lengths[0])
+    with pytest.warns(UserWarning, match="the positions span .* of a box of .* give the box they are in"):
+        dpd.radial_distribution(fresh.position, box=2 * side)
+
+
+def test_names_of_other_programs():
+    with pytest.raises(AttributeError, match="near is dpd.shear_viscosity"):
+        _ = dpd.viscocity

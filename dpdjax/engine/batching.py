@@ -43,6 +43,12 @@ def differing(fluid, dt, flow) -> dict:
     return found
 
 
+def named(member: int, numbers) -> str:
+    """A member of a batch with those of its ``numbers``, (fluid, dt, flow), that differ from member to member."""
+    own = ", ".join(f"{name} = {np.array2string(values[member], precision=6)}" for name, values in differing(*numbers).items())
+    return f"member {member}" + (f" ({own})" if own else "")
+
+
 def chosen(tree, axes, which):
     """The members ``which`` of a batch of numbers; ``axes``, a prefix of the tree, are 0 for what is a batch, else None."""
     own = lambda axis, part: part if axis is None else jax.tree.map(lambda leaf: leaf[which], part)

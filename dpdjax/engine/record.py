@@ -70,10 +70,13 @@ def integral(observe: Callable) -> Recorder:
 
 
 def check_names(how: list[Recorder], fluid, state) -> None:
-    """Raise ValueError where two observables record different things under one name, or one takes ``time`` or ``step``."""
+    """Raise ValueError where two observables record different things under one name, or one takes ``time`` or ``step``.
+
+    Raises TypeError for one that returns neither arrays by name nor an array.
+    """
     taken = {}
     for one in how:
-        for name in jax.eval_shape(one.now, fluid, state):
+        for name in _recorded(one, fluid, state):
             if name in ("time", "step"):
                 raise ValueError(f"{name!r} is recorded by every frame and by {_told(one)}: return it under another name")
             other = taken.setdefault(name, one)
@@ -81,6 +84,19 @@ def check_names(how: list[Recorder], fluid, state) -> None:
                 raise ValueError(
                     f"{name!r} is recorded by {_told(other)} and by {_told(one)}: return one of them under another name"
                 )
+
+
+def _recorded(one: Recorder, fluid, state) -> dict:
+    """The shapes that are recorded, by name."""
+    found = jax.eval_shape(one.now, fluid, state)
+    for name, values in found.items():
+        if not isinstance(name, str) or not hasattr(values, "shape"):
+            what = "None" if values is None else f"a {type(values).__name__}"
+            raise TypeError(
+                f"{_told(one)} returns {what} for {name!r}; an observable is a function observe(fluid, state) -> dict of arrays "
+                "by name, such as lambda fluid, state: {'height': state.position[:, 2]}"
+            )
+    return found
 
 
 def _same(name: str, one: Recorder, other: Recorder, fluid, state) -> bool:

@@ -11,7 +11,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import advice, motion, order, soundness
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
-from dpdjax.engine.batching import batch_axes, chosen
+from dpdjax.engine.batching import batch_axes, chosen, differing, named
 from dpdjax.engine.record import Recorder, averaged, check_names, recorders
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.step import started, step
@@ -361,16 +361,30 @@ def check_plan(plan, state=None):
 
 
 def check_dt(fluid, state, dt):
-    """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot."""
+    """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot, and name the member it is of."""
     if not is_concrete(fluid, dt, state.box.lengths, state.species, state.size):
         return
-    largest = float(np.max(np.asarray(dt)))
     counts = np.bincount(np.asarray(state.species), minlength=fluid.species)
     density = counts / float(np.prod(np.asarray(state.box.lengths)))
     sizes = float(np.min(np.asarray(state.size))), float(np.max(np.asarray(state.size)))
+    told = _too_large(fluid, dt, density, sizes)
+    if told is None:
+        return
+    numbers = fluid, dt, flows.quiet()
+    for member in range(max((len(values) for values in differing(*numbers).values()), default=0)):
+        of_member = _too_large(*chosen(numbers, batch_axes(*numbers), member)[:2], density, sizes)
+        if of_member is not None:
+            raise ValueError(f"{named(member, numbers)}: {of_member}")
+    raise ValueError(told)
+
+
+def _too_large(fluid, dt, density, sizes):
+    """What a time step is too large for, and the cure; None where it is not."""
+    largest = float(np.max(np.asarray(dt)))
     for what, limit in advice.dt_limits(fluid, density, sizes):
         if largest > limit:
-            raise ValueError(
+            return (
                 f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
                 f"use dt = {advice.suggest_dt(fluid, density, sizes):.2g} (temperature error 0.5 %)"
             )
+    return None

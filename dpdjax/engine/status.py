@@ -23,6 +23,8 @@ MEANINGS = {
     BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other coefficients",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
+CROWDED = "the beads crowd together until no neighbour list holds them; give repulsions that keep them apart"
+"""What an overflow means where lists were grown again and again."""
 
 
 def flag(condition, bit: int):
@@ -30,10 +32,11 @@ def flag(condition, bit: int):
     return jnp.where(condition, jnp.uint32(bit), jnp.uint32(0))
 
 
-def describe(status) -> str:
-    """The bits in words; empty where all is well. A batch is merged."""
+def describe(status, grown: bool = False) -> str:
+    """The bits in words; empty where all is well. A batch is merged; ``grown``: lists that overflow were grown before."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel(), initial=0))
-    return "; ".join(text for bit, text in MEANINGS.items() if bits & bit)
+    text_of = lambda bit: CROWDED if grown and bit & OVERFLOWS else MEANINGS[bit]
+    return "; ".join(dict.fromkeys(text_of(bit) for bit in MEANINGS if bits & bit))
 
 
 def poison(tree, status, inputs):

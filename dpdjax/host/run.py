@@ -10,7 +10,7 @@ from dpdjax.checks import prng_key
 from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
-from dpdjax.engine.batching import batch_axes, differing
+from dpdjax.engine.batching import batch_axes, named
 from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
 from dpdjax.engine.record import averaged, recorders
 from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
@@ -114,14 +114,8 @@ def _failed(before: dict, status, numbers, when: str) -> dict[int, str]:
     """The members that failed so far, each with its own numbers, when and why."""
     status = np.atleast_1d(np.asarray(status))
     fresh = [k for k in np.flatnonzero(status) if k not in before]
-    whose = lambda k: f"{_named(k, numbers)} of {len(status)} " if len(status) > 1 else ""
-    return before | {int(k): f"{whose(k)}{when}: {bits.describe(status[k])}" for k in fresh}
-
-
-def _named(member: int, numbers) -> str:
-    """A member with those of its numbers that differ from member to member."""
-    own = ", ".join(f"{name} = {np.array2string(values[member], precision=6)}" for name, values in differing(*numbers).items())
-    return f"member {member}" + (f" ({own})" if own else "")
+    whose = lambda k: f"{named(k, numbers)} of {len(status)} " if len(status) > 1 else ""
+    return before | {int(k): f"{whose(k)}{when}: {bits.describe(status[k], grown=True)}" for k in fresh}
 
 
 def _check_members(fluid, dt, flow, key):

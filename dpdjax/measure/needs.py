@@ -22,7 +22,8 @@ SURELY = 4.0
 def finished(trajectory):
     """Raise unless this is a run, of known numbers, that recorded a frame.
 
-    Raises TypeError for what is no trajectory and for numbers that are being traced, ValueError for a run without frames.
+    Raises TypeError for what is no trajectory and for numbers that are being traced, ValueError for a run without frames, or
+    one that failed, of a batch with its members that did.
     """
     if not hasattr(trajectory, "frames"):
         raise TypeError(f"this measures a run, and was given a {type(trajectory).__name__}; give what dpd.run(...) returns")
@@ -33,6 +34,10 @@ def finished(trajectory):
         )
     if not trajectory.frames:
         raise ValueError("the run recorded no frame: it was interrupted before the first; run it again")
+    failed = getattr(trajectory, "failed", ())
+    if failed:
+        cure = "measure the others, trajectory.survivors" if trajectory.is_batch else "measure the survivors of the batch it was in"
+        raise ValueError(f"the run failed: {'; '.join(why for _, why in failed)}; {cure}")
 
 
 def finite(frames: dict):

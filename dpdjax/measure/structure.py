@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ PAIRS_AT_ONCE = 2**20
 """Distances held in memory at a time."""
 PIECES = 12
 """Independent pieces an error bar is read off, replicas counted."""
+EMPTY = 0.75
+"""Share of a side below which what beads span of it is not all of it."""
 MOST_ALIKE = 0.9
 """Correlation of neighbouring pieces up to which errors are widened: a run that never forgets its start tells no error."""
 
@@ -127,9 +130,21 @@ def _configurations(trajectory, box):
         box = box if isinstance(box, boxes.Box) else boxes.box(box)
         lengths = np.broadcast_to(np.reshape(box.lengths, (-1, 3)), (len(position), 3))
         strain = np.broadcast_to(np.reshape(box.strain, (-1, 1)), position.shape[:2])
+        _warn_of_room(position, lengths)
     if position.shape[2] < 2:
         raise ValueError("one bead has no pairs; at least 2 are needed")
     return position, lengths, strain
+
+
+def _warn_of_room(position, lengths):
+    """Warn where many bare positions leave a good part of every side of the box empty: it may be another box."""
+    span = np.ptp(position, axis=(0, 1, 2))
+    if position.shape[2] >= 100 and np.all(span < EMPTY * lengths.min(axis=0)):
+        warnings.warn(
+            f"the positions span {np.round(span, 3).tolist()} of a box of {np.round(lengths[0], 3).tolist()}, which scales every "
+            "density and distance: give the box they are in",
+            stacklevel=4,
+        )
 
 
 def average(series) -> Estimate:

@@ -33,7 +33,6 @@ from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
-
 CLEARLY, LIKELY = 3.0, 0.5
 """Standard errors at which something is there, and the share of an error above which it is told of."""
 

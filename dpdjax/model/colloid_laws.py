@@ -6,7 +6,7 @@ reproduce it to the letter, where the default here differs.
 
 import jax.numpy as jnp
 
-from dpdjax.model.declare import attracts, bounded, of_viscosity, proportional_to, reaches
+from dpdjax.model.declare import attracts, bounded, friction, of_viscosity, potential, proportional_to, reaches
 
 
 def solvent_cut(*, r_c):
@@ -24,6 +24,7 @@ def balanced_cut(*, r_c, R_i, R_j):
     return (r_c**3 + R**3) ** (1 / 3) - R
 
 
+@potential
 @reaches(balanced_cut)
 @proportional_to("strength")
 @bounded(r_c="positive")
@@ -37,6 +38,7 @@ def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
     return 0.5 * strength * (1.0 - h / cut) ** 2
 
 
+@potential
 @reaches(balanced_cut)
 @proportional_to("strength")
 @bounded(r_c="positive")
@@ -46,6 +48,7 @@ def scripts_repulsion(h, *, strength, r_c, R_i, R_j):
     return balanced_repulsion(h, strength=strength, r_c=r_c, R_i=R_i, R_j=R_j) * cut / (cut + R_i + R_j)
 
 
+@friction
 @reaches(balanced_cut)
 @bounded(gamma="not negative", r_c="positive")
 def balanced_drag(h, *, gamma, r_c, R_i, R_j):
@@ -53,6 +56,7 @@ def balanced_drag(h, *, gamma, r_c, R_i, R_j):
     return gamma * (1.0 - h / balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)) ** 2
 
 
+@potential
 @reaches(lambda *, Delta: Delta)
 @proportional_to("f")
 @bounded(f="not negative", Delta="positive", r_c="positive")
@@ -67,6 +71,7 @@ def contact(h, *, f, Delta, r_c):
     return jnp.where(h > 0, outside, inside)
 
 
+@potential
 @reaches(lambda *, Delta: Delta)
 @proportional_to("f")
 @bounded(f="not negative", Delta="positive", r_c="positive")
@@ -75,6 +80,7 @@ def scaled_contact(h, *, f, Delta, r_c, R_i, R_j):
     return contact(h, f=f, Delta=Delta, r_c=r_c) * (0.5 * (R_i + R_j)) ** 3
 
 
+@potential
 @reaches(lambda *, kappa, r0: r0 + 6.0 / kappa)
 @attracts(lambda *, kappa, r0: r0 + 3.0 / kappa)
 @proportional_to("D0")
@@ -89,6 +95,7 @@ def morse(h, *, D0, kappa, r0):
     return D0 * (e * e - 2.0 * e)
 
 
+@potential
 @reaches(lambda *, r_g: 2.0 * r_g)
 @attracts(lambda *, r_g: 2.0 * r_g * (1.0 - 0.1**0.5))
 @proportional_to("kT")
@@ -106,6 +113,7 @@ def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
     return -kT * phi_p * 0.75 * lens / r_g**3
 
 
+@potential
 @reaches(lambda *, kappa: 8.0 / kappa)
 @proportional_to("epsilon")
 @bounded(kappa="positive")
@@ -118,6 +126,7 @@ def yukawa(h, *, epsilon, kappa, R_i, R_j):
     return epsilon * (R_i + R_j) / (h + R_i + R_j) * jnp.exp(-kappa * h)
 
 
+@friction
 @of_viscosity("eta_0")
 @bounded(eta_0="not negative", delta="positive")
 def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
@@ -129,6 +138,7 @@ def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
     return 1.5 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (0.5 * (R_i + R_j)) ** 2
 
 
+@friction
 @of_viscosity("eta_0")
 @bounded(eta_0="not negative", delta="positive")
 def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
@@ -136,6 +146,7 @@ def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
     return 6.0 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (R_i * R_j / (R_i + R_j)) ** 2
 
 
+@friction
 @of_viscosity("eta_0")
 @bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
 def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
@@ -144,6 +155,7 @@ def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
     return jnp.where(h > 0, gamma * (1.0 - h / r_c) ** 2 + lubrication, 0.0)
 
 
+@friction
 @of_viscosity("eta_0")
 @bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
 def literal_noise(h, *, gamma, eta_0, delta, r_c, R_i, R_j):

@@ -10,6 +10,7 @@ from dpdjax.checks import not_negative, positive
 CENTRAL, TRANSVERSE, FULL = "central", "transverse", "full"
 PROJECTORS = (CENTRAL, TRANSVERSE, FULL)
 """What part of the relative velocity of two surfaces a friction acts on: along the line of centres, across it, all of it."""
+POTENTIAL, FRICTION = "potential", "friction"
 BOUNDS = {"positive": positive, "not negative": not_negative}
 """What :func:`bounded` may say of a coefficient."""
 
@@ -22,6 +23,16 @@ def reaches(function: Callable):
 def projected(projector: str):
     """A decorator that says which part of the relative velocity a friction acts on, one of ``PROJECTORS``."""
     return _declared("projector", known_projector(projector))
+
+
+def potential(law: Callable):
+    """A decorator that says that a law is an energy, so that it is refused where a friction is wanted."""
+    return _declared("kind", POTENTIAL)(law)
+
+
+def friction(law: Callable):
+    """A decorator that says that a law is a friction, so that it is refused where a potential is wanted."""
+    return _declared("kind", FRICTION)(law)
 
 
 def bounded(**bounds: str):
@@ -56,6 +67,19 @@ def check_bounds(law: Callable, numbers: dict):
     for name, bound in getattr(law, "bounds", {}).items():
         if name in numbers:
             BOUNDS[bound](numbers[name], name)
+
+
+def names_declared(law: Callable) -> set[str]:
+    """The coefficients that a law's declarations speak of."""
+    named = {getattr(law, attribute, None) for attribute in ("strength", "viscosity")}
+    return set(getattr(law, "bounds", {})) | named - {None}
+
+
+def check_kind(law: Callable, kind: str):
+    """Raise ValueError where a law declares that it is of the other kind."""
+    if getattr(law, "kind", kind) != kind:
+        wanted = {POTENTIAL: "conservative", FRICTION: "drag"}
+        raise ValueError(f"{name_of(law)} is a {law.kind} and was given as a {kind}: it goes with {wanted[law.kind]}=[...]")
 
 
 def name_of(law: Callable) -> str:

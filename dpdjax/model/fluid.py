@@ -11,7 +11,7 @@ import numpy as np
 
 from dpdjax.checks import is_concrete, not_negative, number, positive
 from dpdjax.model import summary
-from dpdjax.model.declare import CENTRAL, name_of
+from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
 from dpdjax.model.term import Term, check_table, replace_coefficients, several
 
 ORIGINS = ("conservative", "drag", "random")
@@ -222,9 +222,13 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
         random: frictions from which the noise follows; by default those of ``drag``, which keeps the
             temperature. Give others only to reproduce what was computed with them.
 
-    Raises ValueError for groups that overlap, or without any term; TypeError for what is not a term.
+    Raises ValueError for groups that overlap, without any term, or for a law that declares itself of the other kind; TypeError
+    for what is not a term.
     """
     parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
+    for terms, kind in zip(parts, (POTENTIAL, FRICTION, FRICTION)):
+        for t in terms:
+            check_kind(t.law, kind)
     for t in parts[0]:
         if t.projector != CENTRAL:
             raise ValueError(f"{t.law.__name__} is {t.projector}, and the force of a potential is central: give it as a drag")

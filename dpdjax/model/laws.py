@@ -10,9 +10,10 @@ For point beads the gap is the centre distance.
 
 import jax.numpy as jnp
 
-from dpdjax.model.declare import TRANSVERSE, bounded, projected, proportional_to
+from dpdjax.model.declare import TRANSVERSE, bounded, friction, potential, projected, proportional_to
 
 
+@potential
 @proportional_to("a")
 @bounded(r_c="positive")
 def soft_repulsion(h, *, a, r_c):
@@ -24,6 +25,7 @@ def soft_repulsion(h, *, a, r_c):
     return 0.5 * a * r_c * (1.0 - h / r_c) ** 2
 
 
+@friction
 @bounded(gamma="not negative", r_c="positive")
 def central_drag(h, *, gamma, r_c):
     """DPD friction ``gamma (1 - h/r_c)**2`` along the line of centres.
@@ -33,6 +35,7 @@ def central_drag(h, *, gamma, r_c):
     return gamma * (1.0 - h / r_c) ** 2
 
 
+@friction
 @bounded(gamma="not negative", r_c="positive", s="not negative")
 def power_drag(h, *, gamma, r_c, s):
     """DPD friction ``gamma (1 - h/r_c)**s`` with a free weight exponent ``s``.
@@ -46,6 +49,7 @@ def power_drag(h, *, gamma, r_c, s):
     return gamma * jnp.where(inside, jnp.where(inside, w, 1.0) ** s, 0.0)
 
 
+@friction
 @projected(TRANSVERSE)
 @bounded(gamma_t="not negative", r_c="positive")
 def transverse_drag(h, *, gamma_t, r_c):

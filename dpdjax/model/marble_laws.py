@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from dpdjax.model.declare import FULL, bounded, projected, proportional_to, reaches
+from dpdjax.model.declare import FULL, bounded, friction, potential, projected, proportional_to, reaches
 
 WIDEST = 2 ** (1 / 6)
 """Where the Lennard-Jones potential is lowest, in sigma."""
@@ -10,6 +10,7 @@ STEEPEST = 0.5
 """Distance in sigma below which the potential goes on as a straight line: no bead gets there, and one put there is pushed out."""
 
 
+@potential
 @reaches(lambda *, sigma, r_0, R_i, R_j: r_0 + WIDEST * sigma - R_i - R_j)
 @proportional_to("epsilon")
 @bounded(epsilon="not negative", sigma="positive")
@@ -27,6 +28,7 @@ def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
     return epsilon * (4.0 * (y * y - y) + 1.0 + slope * jnp.minimum(x - STEEPEST, 0.0))
 
 
+@friction
 @projected(FULL)
 @reaches(lambda *, r_c: r_c)
 @bounded(gamma_cs="not negative", r_c="positive")

@@ -12,7 +12,7 @@ import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
 from dpdjax.model import summary
-from dpdjax.model.declare import CENTRAL, FULL, TRANSVERSE, check_bounds, known_projector, name_of
+from dpdjax.model.declare import CENTRAL, FULL, TRANSVERSE, check_bounds, known_projector, name_of, names_declared
 
 GIVEN = ("R_i", "R_j", "kT")
 """What a law may ask for by name without being given it: the radii of the two beads, the thermal energy."""
@@ -83,7 +83,7 @@ def term(law: Callable, *, reach=None, origin: str | None = None, projector: str
         **coefficients: a scalar or a symmetric (species, species) table each.
 
     Raises:
-        TypeError: a coefficient the law does not know, or one it lacks; a law that branches with ``if`` on what is traced,
+        TypeError: a coefficient the law does not know, declares something of, or lacks; a law that branches with ``if`` on what is traced,
             or that does not return real numbers of the shape of ``h``.
         ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an unknown projector; a
             number outside what the law declares with ``dpd.bounded``.
@@ -101,6 +101,9 @@ def term(law: Callable, *, reach=None, origin: str | None = None, projector: str
     missing = [w for w, needed in wanted.items() if needed and w not in coefficients]
     if missing:
         raise TypeError(f"{name} lacks {', '.join(missing)}; give {missing[0]}=... to dpd.term")
+    unknown = names_declared(law) - set(_keywords(law)) - set(wanted) - set(GIVEN)
+    if unknown:
+        raise TypeError(f"{name} declares something of {', '.join(sorted(unknown))}, which it does not take; it takes {', '.join(wanted)}")
     values = {k: number(v, k) for k, v in coefficients.items()}
     for k, v in values.items():
         if v.ndim in (1, 3):
