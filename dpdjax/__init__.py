@@ -9,18 +9,47 @@ import importlib
 _HOMES = {
     "dpdjax.model.laws": ["soft_repulsion", "central_drag", "power_drag", "transverse_drag"],
     "dpdjax.model.colloid_laws": [
-        "asakura_oosawa", "balanced_cut", "balanced_drag", "balanced_repulsion", "contact", "literal_drag", "literal_noise",
-        "morse", "scaled_contact", "scripts_repulsion", "solvent_cut", "squeezing_lubrication", "unequal_lubrication", "yukawa",
+        "asakura_oosawa",
+        "balanced_cut",
+        "balanced_drag",
+        "balanced_repulsion",
+        "contact",
+        "literal_drag",
+        "literal_noise",
+        "morse",
+        "scaled_contact",
+        "scripts_repulsion",
+        "solvent_cut",
+        "squeezing_lubrication",
+        "unequal_lubrication",
+        "yukawa",
     ],
     "dpdjax.model.marble_laws": ["shifted_repulsion", "surface_drag"],
-    "dpdjax.model.declare": ["attracts", "bounded", "friction", "of_viscosity", "potential", "projected", "proportional_to", "reaches"],
+    "dpdjax.model.declare": [
+        "attracts",
+        "bounded",
+        "friction",
+        "of_viscosity",
+        "potential",
+        "projected",
+        "proportional_to",
+        "reaches",
+    ],
     "dpdjax.model.term": ["Term", "term"],
     "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid", "interaction"],
     "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time", "pure_solvent"],
     "dpdjax.model.marbles": ["marble_fluid"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
-    "dpdjax.engine.flow": ["Flow", "shear", "oscillatory_shear", "body_force", "sinusoidal_force", "constant_field", "drive"],
+    "dpdjax.engine.flow": [
+        "Flow",
+        "shear",
+        "oscillatory_shear",
+        "body_force",
+        "sinusoidal_force",
+        "constant_field",
+        "drive",
+    ],
     "dpdjax.engine.advice": ["suggest_dt", "suggest_skin"],
     "dpdjax.engine.state": ["State", "grow"],
     "dpdjax.prepare.start": ["initial_state"],
@@ -30,9 +59,20 @@ _HOMES = {
     "dpdjax.engine.record": ["mean", "integral"],
     "dpdjax.engine.simulate": ["Plan", "Trajectory", "simulate"],
     "dpdjax.engine.observables": [
-        "configurational_temperature", "instantaneous_viscosity", "momentum", "positions", "positions_of",
-        "pressure_by_origin", "pressure_tensor", "rotational_temperature", "rotations", "standard", "static_pressure",
-        "stresses", "temperature", "total_pressure",
+        "configurational_temperature",
+        "instantaneous_viscosity",
+        "momentum",
+        "positions",
+        "positions_of",
+        "pressure_by_origin",
+        "pressure_tensor",
+        "rotational_temperature",
+        "rotations",
+        "standard",
+        "static_pressure",
+        "stresses",
+        "temperature",
+        "total_pressure",
     ],
     "dpdjax.measure.statistics": ["Estimate", "block_average"],
     "dpdjax.measure.structure": ["radial_distribution"],
@@ -43,20 +83,42 @@ _HOMES = {
     "dpdjax.measure.clusters": ["clusters"],
     "dpdjax.measure.solvent": ["solvent_density"],
     "dpdjax.measure.scattering": ["structure_factor"],
-    "dpdjax.measure.transport": ["diffusion", "mean_squared_displacement", "velocity_autocorrelation"],
+    "dpdjax.measure.transport": [
+        "diffusion",
+        "mean_squared_displacement",
+        "velocity_autocorrelation",
+    ],
     "dpdjax.measure.rotation": [
-        "angular_velocity_autocorrelation", "orientation_correlation", "rotational_diffusion",
+        "angular_velocity_autocorrelation",
+        "orientation_correlation",
+        "rotational_diffusion",
     ],
     "dpdjax.measure.drive": ["Driven", "driven_diffusion", "driven_rotation"],
     "dpdjax.measure.hydrodynamics": [
-        "angular_velocity_tail", "hydrodynamic_radius", "sphere_diffusion", "sphere_rotational_diffusion", "velocity_tail",
+        "angular_velocity_tail",
+        "hydrodynamic_radius",
+        "sphere_diffusion",
+        "sphere_rotational_diffusion",
+        "velocity_tail",
     ],
     "dpdjax.measure.rheology": ["Moduli", "moduli"],
     "dpdjax.measure.viscosity": [
-        "einstein_helfand", "einstein_helfand_record", "extrapolate", "green_kubo", "green_kubo_record",
-        "shear_record", "shear_viscosity", "sine_record", "sinusoidal_viscosity",
+        "einstein_helfand",
+        "einstein_helfand_record",
+        "extrapolate",
+        "green_kubo",
+        "green_kubo_record",
+        "shear_record",
+        "shear_viscosity",
+        "sine_record",
+        "sinusoidal_viscosity",
     ],
-    "dpdjax.calibration.calibrate": ["Calibration", "TargetError", "calibrate", "measure_viscosity"],
+    "dpdjax.calibration.calibrate": [
+        "Calibration",
+        "TargetError",
+        "calibrate",
+        "measure_viscosity",
+    ],
     "dpdjax.calibration.relative": ["relative_viscosity"],
     "dpdjax.calibration.joint": ["JointCalibration"],
     "dpdjax.host.bench": ["bench"],
@@ -69,10 +131,24 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 _ELSEWHERE = {
-    "rdf": "radial_distribution", "gr": "radial_distribution", "g_r": "radial_distribution", "sq": "structure_factor",
-    "msd": "mean_squared_displacement", "vacf": "velocity_autocorrelation", "temp": "temperature", "press": "static_pressure",
-    "pressure": "static_pressure", "viscosity": "shear_viscosity", "body": "body_force", "force": "body_force",
-    "nemd": "shear", "box": "Box", "simulation": "simulate", "dump": "write_gsd", "gsd": "write_gsd", "restart": "load_state",
+    "rdf": "radial_distribution",
+    "gr": "radial_distribution",
+    "g_r": "radial_distribution",
+    "sq": "structure_factor",
+    "msd": "mean_squared_displacement",
+    "vacf": "velocity_autocorrelation",
+    "temp": "temperature",
+    "press": "static_pressure",
+    "pressure": "static_pressure",
+    "viscosity": "shear_viscosity",
+    "body": "body_force",
+    "force": "body_force",
+    "nemd": "shear",
+    "box": "Box",
+    "simulation": "simulate",
+    "dump": "write_gsd",
+    "gsd": "write_gsd",
+    "restart": "load_state",
 }
 """What it is called in other programs, and here."""
 __version__ = "0.1.0"
@@ -81,9 +157,13 @@ __version__ = "0.1.0"
 def __getattr__(name):
     if name not in _HOME_OF:
         known = {other: other for other in __all__} | _ELSEWHERE
-        close = [name.lower()] if name.lower() in _ELSEWHERE else difflib.get_close_matches(name, known)
+        close = (
+            [name.lower()] if name.lower() in _ELSEWHERE else difflib.get_close_matches(name, known)
+        )
         near = dict.fromkeys(known[other] for other in close)
-        raise AttributeError(f"dpdjax has no {name!r}" + (f"; near is dpd.{' or dpd.'.join(near)}" if near else ""))
+        raise AttributeError(
+            f"dpdjax has no {name!r}" + (f"; near is dpd.{' or dpd.'.join(near)}" if near else "")
+        )
     value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value

@@ -18,21 +18,25 @@ def number(value, name: str):
     try:
         array = jnp.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise TypeError(f"{name} is {value!r}; a number or an array of numbers is wanted") from error
+        raise TypeError(
+            f"{name} is {value!r}; a number or an array of numbers is wanted"
+        ) from error
     if is_concrete(array, value):
         _refuse_unrepresentable(np.asarray(value, float), np.asarray(array), value, name)
     return array
 
 
 def _refuse_unrepresentable(exact, array, value, name):
-    """Raise ValueError where a number is not finite, or is not a normal number of the default precision."""
+    """Raise ValueError where a number is not finite, or is not a normal number of the default
+    precision."""
     if not np.all(np.isfinite(exact)):
         raise ValueError(f"{name} is {value}; it must be finite")
     kind = np.finfo(array.dtype)
     if np.any(np.abs(exact) > kind.max) or np.any((exact != 0) & (np.abs(exact) < kind.tiny)):
         raise ValueError(
-            f"{name} is {value}, which {array.dtype} cannot hold (from {kind.tiny:.2g} to {kind.max:.2g}): "
-            "choose units in which kT, masses and reaches are nearer 1, see dpd.water_units"
+            f"{name} is {value}, which {array.dtype} cannot hold (from {kind.tiny:.2g} to "
+            f"{kind.max:.2g}): choose units in which kT, masses and reaches are nearer 1, see "
+            "dpd.water_units"
         )
 
 

@@ -56,68 +56,119 @@ def _check_plot(path):
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="dpdjax", description="Dissipative particle dynamics: the viscosity of a friction, the friction of a viscosity."
+        prog="dpdjax",
+        description="Dissipative particle dynamics: the viscosity of a friction, the friction of "
+        "a viscosity.",
     )
     commands = parser.add_subparsers(dest="command", required=True)
 
-    viscosity = commands.add_parser("viscosity", help="the shear viscosity of a DPD fluid, with an error bar")
+    viscosity = commands.add_parser(
+        "viscosity", help="the shear viscosity of a DPD fluid, with an error bar"
+    )
     _common(viscosity)
-    viscosity.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
+    viscosity.add_argument(
+        "--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)"
+    )
     viscosity.set_defaults(work=_viscosity, readable=_answer)
 
-    calibrate = commands.add_parser("calibrate", help="the friction gamma that gives a wanted viscosity")
+    calibrate = commands.add_parser(
+        "calibrate", help="the friction gamma that gives a wanted viscosity"
+    )
     _common(calibrate)
     calibrate.add_argument("--viscosity", type=float, required=True, help="the wanted viscosity")
-    calibrate.add_argument("--gamma", type=float, default=None, help="first guess (default: from the drag stress)")
-    calibrate.add_argument("--branch", choices=("upper", "lower"), default="upper", help="of two gammas (default: upper)")
+    calibrate.add_argument(
+        "--gamma", type=float, default=None, help="first guess (default: from the drag stress)"
+    )
+    calibrate.add_argument(
+        "--branch",
+        choices=("upper", "lower"),
+        default="upper",
+        help="of two gammas (default: upper)",
+    )
     calibrate.set_defaults(work=_calibrate, readable=_answer)
 
-    suspension = commands.add_parser("suspension", help="colloids in a solvent: prepare, run, write GSD frames")
+    suspension = commands.add_parser(
+        "suspension", help="colloids in a solvent: prepare, run, write GSD frames"
+    )
     _suspended(suspension)
     _kept(suspension)
     suspension.set_defaults(work=_suspension, readable=_suspended_answer, plot=None)
 
     bench = commands.add_parser("bench", help="how fast this machine runs a fluid")
     _fluid(bench)
-    bench.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
-    bench.add_argument("--beads", type=int, default=24_000, help="beads of one box (default: 24000)")
+    bench.add_argument(
+        "--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)"
+    )
+    bench.add_argument(
+        "--beads", type=int, default=24_000, help="beads of one box (default: 24000)"
+    )
     bench.add_argument("--batch", type=int, default=1, help="boxes side by side (default: 1)")
-    bench.add_argument("--skin", type=float, default=None, help="margin of the lists (default: the cheapest)")
+    bench.add_argument(
+        "--skin", type=float, default=None, help="margin of the lists (default: the cheapest)"
+    )
     steps = "steps of one timed run, medians of five (default: 200, fewer in large boxes)"
     bench.add_argument("--steps", type=int, default=None, help=steps)
-    bench.add_argument("--tangent", action="store_true", help="time the derivative with respect to gamma too")
+    bench.add_argument(
+        "--tangent", action="store_true", help="time the derivative with respect to gamma too"
+    )
     # What it says of compiling is that of a new program.
     bench.set_defaults(work=_bench, readable=_speed, plot=None, no_cache=True)
     return parser
 
 
 def _suspended(parser):
-    parser.add_argument("--phi", type=float, required=True, help="volume fraction of the colloids, up to 0.45")
+    parser.add_argument(
+        "--phi", type=float, required=True, help="volume fraction of the colloids, up to 0.45"
+    )
     parser.add_argument("--box", type=float, default=30.0, help="side of the box (default: 30)")
-    parser.add_argument("--times", type=float, default=1.0, help="how long, in diffusion times tau (default: 1)")
-    parser.add_argument("--out", metavar="FILE.gsd", default=None, help="write frames into a GSD file")
+    parser.add_argument(
+        "--times", type=float, default=1.0, help="how long, in diffusion times tau (default: 1)"
+    )
+    parser.add_argument(
+        "--out", metavar="FILE.gsd", default=None, help="write frames into a GSD file"
+    )
     parser.add_argument("--frames", type=int, default=100, help="frames to record (default: 100)")
     settle = "time the solvent settles before, without attraction, in DPD units (default: 10)"
     parser.add_argument("--settle", type=float, default=10.0, help=settle)
-    parser.add_argument("--D0", type=float, default=0.0, help="depth of the Morse attraction [energy] (default: 0)")
+    parser.add_argument(
+        "--D0", type=float, default=0.0, help="depth of the Morse attraction [energy] (default: 0)"
+    )
     parser.add_argument("--kappa", type=float, default=30.0, help="its inverse range (default: 30)")
     parser.add_argument("--radius", type=float, default=1.0, help="of a colloid (default: 1)")
-    parser.add_argument("--spread", type=float, default=0.0, help="relative standard deviation of the radii (default: 0)")
+    parser.add_argument(
+        "--spread",
+        type=float,
+        default=0.0,
+        help="relative standard deviation of the radii (default: 0)",
+    )
     _numbers(parser, kT=0.1, suits="drag, lubrication and contacts")
-    parser.add_argument("--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)")
-    parser.add_argument("--eta0", type=float, default=0.3, help="viscosity of the solvent, for lubrication (default: 0.3)")
+    parser.add_argument(
+        "--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)"
+    )
+    parser.add_argument(
+        "--eta0",
+        type=float,
+        default=0.3,
+        help="viscosity of the solvent, for lubrication (default: 0.3)",
+    )
     parser.add_argument("--rate", type=float, default=0.0, help="shear rate [1/time] (default: 0)")
 
 
 def _fluid(parser):
     _numbers(parser, kT=1.0, suits="drag: temperature error below 0.5 %%")
-    parser.add_argument("--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)")
+    parser.add_argument(
+        "--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)"
+    )
 
 
 def _numbers(parser, *, kT: float, suits: str):
-    parser.add_argument("--density", type=float, default=3.0, help="solvent beads per volume (default: 3)")
+    parser.add_argument(
+        "--density", type=float, default=3.0, help="solvent beads per volume (default: 3)"
+    )
     parser.add_argument("--kT", type=float, default=kT, help=f"thermal energy (default: {kT:g})")
-    parser.add_argument("--dt", type=float, default=None, help=f"time step (default: suits {suits})")
+    parser.add_argument(
+        "--dt", type=float, default=None, help=f"time step (default: suits {suits})"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
@@ -130,10 +181,24 @@ def _kept(parser):
 def _common(parser):
     _fluid(parser)
     _kept(parser)
-    parser.add_argument("--rate", type=float, default=None, help="shear rate (default: bias below half the tolerance)")
-    parser.add_argument("--box", type=float, default=10.0, help="side of each of the two boxes (default: 10)")
-    parser.add_argument("--tolerance", type=float, default=0.02, help="relative; the standard error is a third (default: 0.02)")
-    parser.add_argument("--plot", metavar="FILE.png", default=None, help="draw the result into a file")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=None,
+        help="shear rate (default: bias below half the tolerance)",
+    )
+    parser.add_argument(
+        "--box", type=float, default=10.0, help="side of each of the two boxes (default: 10)"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.02,
+        help="relative; the standard error is a third (default: 0.02)",
+    )
+    parser.add_argument(
+        "--plot", metavar="FILE.png", default=None, help="draw the result into a file"
+    )
 
 
 def _water(arguments, gamma):
@@ -148,7 +213,9 @@ def _water(arguments, gamma):
 
 def _reporter():
     began = time.monotonic()
-    return lambda text: print(f"[{time.monotonic() - began:5.0f} s] {text}", file=sys.stderr, flush=True)
+    return lambda text: print(
+        f"[{time.monotonic() - began:5.0f} s] {text}", file=sys.stderr, flush=True
+    )
 
 
 def _calibrate(arguments):
@@ -231,7 +298,9 @@ def _suspension(arguments):
 
     with warnings.catch_warnings():
         warnings.simplefilter("once")
-        warnings.showwarning = lambda message, *_: print(f"dpdjax suspension: note: {message}", file=sys.stderr)
+        warnings.showwarning = lambda message, *_: print(
+            f"dpdjax suspension: note: {message}", file=sys.stderr
+        )
         return _run_suspension(arguments), None
 
 
@@ -245,17 +314,23 @@ def _run_suspension(arguments) -> dict:
     names = ("phi", "box", "radius", "spread", "density", "kT", "gamma", "D0", "kappa", "dt")
     numbers = {name: getattr(arguments, name) for name in names}
     report = lambda text: print(text, file=sys.stderr, flush=True)
-    made = dpd.suspension(key, eta_0=arguments.eta0, sheared=arguments.rate != 0, report=report, **numbers)
+    made = dpd.suspension(
+        key, eta_0=arguments.eta0, sheared=arguments.rate != 0, report=report, **numbers
+    )
     flow = dpd.shear(arguments.rate) if arguments.rate else None
     state, spent = made.state, 0
     if arguments.settle > 0:
         every = max(1, round(arguments.settle / made.dt / 10))
         hard = made.fluid.set(D0=0.0)
-        settled = dpd.run(hard, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json)
+        settled = dpd.run(
+            hard, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json
+        )
         _go_on_with(settled.complete)
         state = settled.final.restarted()
         spent = 10 * every
-    plan = dpd.Plan(arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames)))
+    plan = dpd.Plan(
+        arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames))
+    )
     ran = _run_to(arguments.out, made, state, key, plan, flow, not arguments.json)
     _go_on_with(ran.frames)
     return {
@@ -281,7 +356,8 @@ def _go_on_with(what):
 
 
 def _check_suspension(arguments):
-    """Raise ValueError before the work for numbers that cannot be, or a file that could not be written."""
+    """Raise ValueError before the work for numbers that cannot be, or a file that could not be
+    written."""
     from dpdjax.checks import not_negative, positive
 
     folder = os.path.dirname(arguments.out or "") or "."
@@ -318,7 +394,8 @@ def _suspended_answer(result) -> str:
     lines = [
         f"{result['frames']} frames over {result['times']:.3g} tau, "
         f"{result['particle_steps']:.2g} particle-steps in {result['seconds']:.0f} s",
-        f"kinetic temperature {result['temperature']:.4g}, contact number {result['contact_number']:.3g} at the end",
+        f"kinetic temperature {result['temperature']:.4g}, contact number "
+        f"{result['contact_number']:.3g} at the end",
     ]
     return "\n".join(lines + ([f"wrote {result['file']}"] if result["file"] else []))
 
@@ -345,7 +422,9 @@ def _bench(arguments):
 
 def _speed(result) -> str:
     shown = lambda value: f"{value:.4g}" if isinstance(value, float) else str(value)
-    return "\n".join(f"{name.replace('_', ' '):26s} {shown(value)}" for name, value in result.items())
+    return "\n".join(
+        f"{name.replace('_', ' '):26s} {shown(value)}" for name, value in result.items()
+    )
 
 
 def _answer(result) -> str:

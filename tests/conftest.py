@@ -1,4 +1,5 @@
-"""Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run; programs shared by all workers."""
+"""Shared fixtures: float64, strict ranks, two fluids, small states, one compiled run; programs
+shared by all workers."""
 
 import atexit
 import os
@@ -7,10 +8,14 @@ import shutil
 import tempfile
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # Many files compile the same programs, in workers of their own: they share what one of them has made.
+    # Many files compile the same programs, in workers of their own: they share what one of them has
+    # made.
     folder = tempfile.mkdtemp(prefix="dpdjax-tests-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ |= {"JAX_COMPILATION_CACHE_DIR": folder, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3"}
+    os.environ |= {
+        "JAX_COMPILATION_CACHE_DIR": folder,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    }
 # Or jax logs a page of the processor's features for each program that it reads back.
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
@@ -100,7 +105,8 @@ MOST_MAPPINGS = 30_000
 
 @pytest.fixture(autouse=True, scope="module")
 def room_for_programs():
-    """Every compiled program takes some mappings, and a process that runs out of them is aborted."""
+    """Every compiled program takes some mappings, and a process that runs out of them is
+    aborted."""
     yield
     maps = pathlib.Path("/proc/self/maps")
     if maps.exists() and maps.read_text().count("\n") > MOST_MAPPINGS:

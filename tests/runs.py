@@ -1,4 +1,5 @@
-"""Runs of every kind whose answers are known: random walks carried by a flow, and noise about the right means.
+"""Runs of every kind whose answers are known: random walks carried by a flow, and noise about the
+right means.
 
 A fluid of points and spheres that do not see each other, in a box of unequal sides.
 """
@@ -28,7 +29,8 @@ WAVE_AMPLITUDE = 0.3
 LIGHT = 1e-3
 """Mass and moment of inertia of beads that forget their velocities at once, as random walks do."""
 MEMORY, MOTION = 0.1, 0.2
-"""Times that the stress of a fluid at rest, and the velocities of its beads, are remembered [time]."""
+"""Times that the stress of a fluid at rest, and the velocities of its beads, are remembered [time].
+"""
 
 FLOWS = {
     "at rest": lambda number: quiet(),
@@ -48,14 +50,27 @@ def made(flow: str, form: str):
     fluid, state = system()
     seed = 10 * list(FLOWS).index(flow) + 100 * FORMS.index(form)
     if form == "batch":
-        members = [one(fluid, state, FLOWS[flow](1.0), seed=seed + k, count=FRAMES // REPLICAS) for k in range(REPLICAS)]
+        members = [
+            one(fluid, state, FLOWS[flow](1.0), seed=seed + k, count=FRAMES // REPLICAS)
+            for k in range(REPLICAS)
+        ]
         return joined(members, fluid, FLOWS[flow](1.0))
     if form == "scan":
         flows = [FLOWS[flow](number) for number in SCAN]
-        members = [one(fluid, state, flow, seed=seed + k, count=FRAMES // REPLICAS) for k, flow in enumerate(flows)]
+        members = [
+            one(fluid, state, flow, seed=seed + k, count=FRAMES // REPLICAS)
+            for k, flow in enumerate(flows)
+        ]
         fluid = fluid.set(kT=jnp.array(SCAN)) if flow == "at rest" else fluid
         return joined(members, fluid, jax.tree.map(lambda *numbers: jnp.stack(numbers), *flows))
-    return one(fluid, state, FLOWS[flow](1.0), seed=seed, count=6 if form == "short" else FRAMES, starts=form == "started up")
+    return one(
+        fluid,
+        state,
+        FLOWS[flow](1.0),
+        seed=seed,
+        count=6 if form == "short" else FRAMES,
+        starts=form == "started up",
+    )
 
 
 @functools.cache
@@ -63,7 +78,10 @@ def system():
     fluid = dpd.fluid(
         [dpd.term(dpd.soft_repulsion, a=jnp.zeros((2, 2)), r_c=1.0)],
         [dpd.term(dpd.central_drag, gamma=jnp.ones((2, 2)), r_c=1.0, projector="full")],
-        kT=1.0, mass=[LIGHT, LIGHT], radius=[None, RADIUS], inertia=[None, LIGHT],
+        kT=1.0,
+        mass=[LIGHT, LIGHT],
+        radius=[None, RADIUS],
+        inertia=[None, LIGHT],
     )
     state = dpd.initial_state(fluid, jax.random.key(0), box=SIDES, n=[POINTS, SPHERES], dt=DT)
     return fluid, state
@@ -72,7 +90,9 @@ def system():
 def joined(members, fluid, flow):
     """A batch of runs."""
     stack = lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves])
-    final, frames = (jax.tree.map(stack, *[getattr(m, name) for m in members]) for name in ("final", "frames"))
+    final, frames = (
+        jax.tree.map(stack, *[getattr(m, name) for m in members]) for name in ("final", "frames")
+    )
     frames = {name: np.asarray(values) for name, values in frames.items()}
     return dataclasses.replace(members[0], final=final, frames=frames, fluid=fluid, flow=flow)
 
@@ -85,7 +105,9 @@ def one(fluid, state, flow, *, seed: int, count: int, starts: bool = False):
     frames = {"time": time, "step": EVERY * np.arange(1, count + 1)}
     frames["temperature"] = late * (1.0 + 0.01 * rng.normal(size=count))
     frames["potential_energy"] = 30.0 * late + rng.normal(size=count)
-    frames |= stresses(rng, flow, time, late) | places(rng, state, flow, time) | turns(rng, flow, count)
+    frames |= (
+        stresses(rng, flow, time, late) | places(rng, state, flow, time) | turns(rng, flow, count)
+    )
     return dpd.Trajectory(state, frames, fluid, flow, DT, EVERY)
 
 
@@ -94,11 +116,16 @@ def stresses(rng, flow, time, late):
     count = len(time)
     stress = tensors(0.3 * rng.normal(size=(count, 3, 3)))
     if hasattr(flow, "frequency"):
-        due = AMPLITUDE * (STORAGE * np.sin(FREQUENCY * time) + LOSS * np.cos(FREQUENCY * time)) * late
+        due = (
+            AMPLITUDE
+            * (STORAGE * np.sin(FREQUENCY * time) + LOSS * np.cos(FREQUENCY * time))
+            * late
+        )
     else:
         due = VISCOSITY * float(flow.rate) * late
     stress[:, 0, 1] -= due
-    # A stress that fades as exp(-t / MEMORY) about its mean, and the rest of the viscosity without delay.
+    # A stress that fades as exp(-t / MEMORY) about its mean, and the rest of the viscosity without
+    # delay.
     kept = np.exp(-INTERVAL / MEMORY)
     variance = 0.5 * VISCOSITY / VOLUME / (0.5 * INTERVAL * (1 + kept) / (1 - kept))
     noise = tensors(np.sqrt(variance * (1 - kept**2)) * rng.normal(size=(count + 200, 3, 3)))
@@ -107,21 +134,27 @@ def stresses(rng, flow, time, late):
     # Members of a scan keep the mean wave: they are to be refused before it is looked at.
     wave = (POINTS + SPHERES) / VOLUME * WAVE_AMPLITUDE / (VISCOSITY * (2 * np.pi / SIDES[1]) ** 2)
     return {
-        "pressure_tensor": stress, "pressure_random": tensors(0.1 * rng.normal(size=(count, 3, 3))),
-        "flux": flux, "reversed_flux": flux, "instantaneous_viscosity": np.full(count, 0.5 * VISCOSITY), "flux_integral": jumps,
+        "pressure_tensor": stress,
+        "pressure_random": tensors(0.1 * rng.normal(size=(count, 3, 3))),
+        "flux": flux,
+        "reversed_flux": flux,
+        "instantaneous_viscosity": np.full(count, 0.5 * VISCOSITY),
+        "flux_integral": jumps,
         "wave_velocity": wave * late + 0.02 * rng.normal(size=count),
     }
 
 
 def tensors(numbers):
-    """Symmetric traceless tensors of which each off-diagonal has the spread of the numbers, as in an isotropic fluid."""
+    """Symmetric traceless tensors of which each off-diagonal has the spread of the numbers, as in
+    an isotropic fluid."""
     symmetric = (numbers + np.swapaxes(numbers, -1, -2)) / np.sqrt(2)
     trace = np.trace(symmetric, axis1=-2, axis2=-1)[..., None, None]
     return symmetric - trace * np.eye(3) / 3
 
 
 def places(rng, state, flow, time):
-    """Random walks of points thrown at random, carried along by the flow, and velocities that add up to their diffusion."""
+    """Random walks of points thrown at random, carried along by the flow, and velocities that add
+    up to their diffusion."""
     count, n = len(time), POINTS + SPHERES
     fine = 4
     steps = np.sqrt(2 * DIFFUSION * INTERVAL / fine) * rng.normal(size=(count * fine, n, 3))
@@ -137,23 +170,36 @@ def places(rng, state, flow, time):
     path, strain = path[fine - 1 :: fine], strain[fine - 1 :: fine]
     period = SIDES[0] / SIDES[1]
     strain = strain - period * np.round(strain / period)
-    position, image = jax.vmap(lambda s, x: wrap(Box(jnp.asarray(SIDES), s), x))(jnp.asarray(strain), jnp.asarray(path))
+    position, image = jax.vmap(lambda s, x: wrap(Box(jnp.asarray(SIDES), s), x))(
+        jnp.asarray(strain), jnp.asarray(path)
+    )
     velocity = remembering(rng, DIFFUSION, (count, n, 3))
     return {
-        "position": np.asarray(position), "unwrapped": path, "image": np.asarray(image), "velocity": velocity, "strain": strain,
+        "position": np.asarray(position),
+        "unwrapped": path,
+        "image": np.asarray(image),
+        "velocity": velocity,
+        "strain": strain,
     }
 
 
 def remembering(rng, diffusion, shape):
-    """Velocities (frames, ...) that fade as exp(-t / MOTION) and whose memory adds up, frame by frame, to a diffusion."""
+    """Velocities (frames, ...) that fade as exp(-t / MOTION) and whose memory adds up, frame by
+    frame, to a diffusion."""
     kept = np.exp(-INTERVAL / MOTION)
     spread = np.sqrt(2 * diffusion / INTERVAL * (1 - kept) / (1 + kept) * (1 - kept**2))
-    return lfilter([1.0], [1.0, -kept], spread * rng.normal(size=(shape[0] + 200, *shape[1:])), axis=0)[200:]
+    return lfilter(
+        [1.0], [1.0, -kept], spread * rng.normal(size=(shape[0] + 200, *shape[1:])), axis=0
+    )[200:]
 
 
 def tilt(flow, time):
     """The strain at a time."""
-    return AMPLITUDE * np.sin(FREQUENCY * time) if hasattr(flow, "frequency") else float(flow.rate) * time
+    return (
+        AMPLITUDE * np.sin(FREQUENCY * time)
+        if hasattr(flow, "frequency")
+        else float(flow.rate) * time
+    )
 
 
 def turns(rng, flow, count):
@@ -175,4 +221,7 @@ def turns(rng, flow, count):
 def product(p, q):
     """Of quaternions (..., 4)."""
     w = p[..., :1] * q[..., :1] - np.sum(p[..., 1:] * q[..., 1:], axis=-1, keepdims=True)
-    return np.concatenate([w, p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + np.cross(p[..., 1:], q[..., 1:])], axis=-1)
+    return np.concatenate(
+        [w, p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + np.cross(p[..., 1:], q[..., 1:])],
+        axis=-1,
+    )

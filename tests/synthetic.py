@@ -45,18 +45,23 @@ def sample(rng, x, error, bias=1.0) -> Point:
     slope = bias * FLUID.slope(x)
     slope_error = 0.1 * max(abs(FLUID.slope(x)), 0.02)
     value = FLUID.value(x) + error * rng.normal()
-    return Point(x, Estimate(value, error), Estimate(slope + slope_error * rng.normal(), slope_error))
+    return Point(
+        x, Estimate(value, error), Estimate(slope + slope_error * rng.normal(), slope_error)
+    )
 
 
 def replace_runs(monkeypatch, seed=0, bias=1.0):
-    """Let calibrations measure :data:`FLUID`, slopes off by ``bias``; returns a list that fills with the errors asked for."""
+    """Let calibrations measure :data:`FLUID`, slopes off by ``bias``; returns a list that fills
+    with the errors asked for."""
     rng, asked = np.random.default_rng(seed), []
     ln_gamma = lambda fluid: math.log(float(fluid.value("gamma")))
 
     def prepare(fluid, goal, key, *, density, side, boxes, dt=None, report=None):
         state = SimpleNamespace(position=np.zeros((boxes, 10, 3)))
         keys = jax.random.split(key, boxes)
-        return SimpleNamespace(goal=goal, state=state, keys=keys, steps=0, step_for=lambda fluid: 0.01)
+        return SimpleNamespace(
+            goal=goal, state=state, keys=keys, steps=0, step_for=lambda fluid: 0.01
+        )
 
     def measure(bench, fluid, error, settle, most, report):
         asked.append(error)
@@ -64,11 +69,17 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
         exact = FLUID.value(ln_gamma(fluid))
         series = exact + 10 * error * rng.normal(size=(4, 100))
         estimate = Estimate(exact + error * rng.normal(), error)
-        return experiment.Measurement(estimate, series, 0.1 * np.arange(100), 0.01, float(bench.goal.flow.rate), bench.steps)
+        return experiment.Measurement(
+            estimate, series, 0.1 * np.arange(100), 0.01, float(bench.goal.flow.rate), bench.steps
+        )
 
     def measure_slopes(bench, fluid, names, windows):
         return [sample(rng, ln_gamma(fluid), 1.0, bias).slope for _ in names]
 
-    for name, function in (("prepare", prepare), ("measure", measure), ("measure_slopes", measure_slopes)):
+    for name, function in (
+        ("prepare", prepare),
+        ("measure", measure),
+        ("measure_slopes", measure_slopes),
+    ):
         monkeypatch.setattr(experiment, name, function)
     return asked

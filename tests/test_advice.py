@@ -28,14 +28,19 @@ def spread_evenly(fluid, density=DENSITY, side=30.0):
     """What the checks read of a state of this density."""
     counts = np.round(density * side**3).astype(int)
     box = SimpleNamespace(lengths=np.full(3, side))
-    return SimpleNamespace(box=box, species=np.repeat(np.arange(2), counts), size=np.ones(sum(counts)))
+    return SimpleNamespace(
+        box=box, species=np.repeat(np.arange(2), counts), size=np.ones(sum(counts))
+    )
 
 
 @pytest.mark.parametrize("eta_0, rate", [(0.3, 225.0), (1.1, 825.0), (3.0, 2250.0), (10.0, 7500.0)])
 @pytest.mark.parametrize("noise", ["exact", "literal"])
 def test_touching_colloids_are_damped_at_the_rates_of_the_page(eta_0, rate, noise):
-    """R 1, delta 0.001, m_c 12.57; a colloid with six close neighbours feels three times the rate of a pair."""
-    assert limits(eta_0=eta_0, gamma=0.0, noise=noise)[LUBRICATION] == pytest.approx(1 / (3 * rate), rel=1e-6)
+    """R 1, delta 0.001, m_c 12.57; a colloid with six close neighbours feels three times the rate
+    of a pair."""
+    assert limits(eta_0=eta_0, gamma=0.0, noise=noise)[LUBRICATION] == pytest.approx(
+        1 / (3 * rate), rel=1e-6
+    )
 
 
 def test_drag_of_colloids_adds_to_lubrication():
@@ -45,13 +50,17 @@ def test_drag_of_colloids_adds_to_lubrication():
 
 def test_friction_without_a_limit_at_contact_counts_from_where_it_is_sampled():
     bare = dpd.term(lambda h, *, q: q / h, q=1.0, reach=1.0)
-    fluid = dpd.fluid(interactions=[dpd.interaction((0, 0), drag=bare)], kT=1.0, mass=2.0, radius=(1.0,))
+    fluid = dpd.fluid(
+        interactions=[dpd.interaction((0, 0), drag=bare)], kT=1.0, mass=2.0, radius=(1.0,)
+    )
     assert 100 < 1 / advice.dt_limits(fluid, 0.1)[LUBRICATION][1] / 3 < 1e4
 
 
 def test_touching_colloids_oscillate_as_fast_as_their_contact_is_stiff():
     """``sqrt(3 f / (Delta mu))`` at contact, which 2.5 kT reach."""
-    assert limits()[CONTACT] == pytest.approx(math.sqrt(1e-3 * 2 * math.pi / (3 * 1000.0)), rel=0.005)
+    assert limits()[CONTACT] == pytest.approx(
+        math.sqrt(1e-3 * 2 * math.pi / (3 * 1000.0)), rel=0.005
+    )
 
 
 def test_solvent_is_damped_by_solvent_and_colloids():
@@ -65,13 +74,19 @@ def test_solvent_is_damped_by_solvent_and_colloids():
 
 
 def test_suggested_dt_suits_what_is_fastest(water):
-    suggested = lambda density=DENSITY, **numbers: advice.suggest_dt(dpd.colloid_fluid(**numbers), density)
+    suggested = lambda density=DENSITY, **numbers: advice.suggest_dt(
+        dpd.colloid_fluid(**numbers), density
+    )
     for numbers, what in (({"eta_0": 10.0}, LUBRICATION), ({"modulus": 1e5}, CONTACT)):
         assert suggested(**numbers) == pytest.approx(0.7 * limits(**numbers)[what])
     rubbing = dict(eta_0=0.0, modulus=1.0, Delta=0.1, gamma=450.0, kT=1e-3)
     slower = limits(**rubbing)[DRAG] / limits(density=3.0, **rubbing)[DRAG]
-    assert suggested(**rubbing) / suggested(3.0, **rubbing) == pytest.approx(slower) and slower < 0.99
-    assert suggested(3.0, **rubbing) == suggested([3.0, 0.0], **rubbing), "one number is that of the solvent"
+    assert (
+        suggested(**rubbing) / suggested(3.0, **rubbing) == pytest.approx(slower) and slower < 0.99
+    )
+    assert suggested(3.0, **rubbing) == suggested([3.0, 0.0], **rubbing), (
+        "one number is that of the solvent"
+    )
     assert dpd.suggest_dt(water, 3.0) == dpd.suggest_dt(water, np.array([3.0]))
 
 
@@ -89,7 +104,9 @@ def test_dt_above_a_limit_is_refused_by_name_and_the_suggested_one_passes(what):
     state = spread_evenly(fluid)
     least = min(limit for _, limit in advice.dt_limits(fluid, DENSITY))
     check_dt(fluid, state, 0.99 * least)
-    with pytest.raises(ValueError, match=f"dt .* is too large for the {what}: .* use dt = ") as refused:
+    with pytest.raises(
+        ValueError, match=f"dt .* is too large for the {what}: .* use dt = "
+    ) as refused:
         check_dt(fluid, state, 1.01 * least)
     passes = float(str(refused.value).split("use dt = ")[1].split()[0])
     check_dt(fluid, state, passes)
@@ -98,14 +115,19 @@ def test_dt_above_a_limit_is_refused_by_name_and_the_suggested_one_passes(what):
 
 def test_a_scan_is_limited_by_its_extreme():
     scan = dpd.colloid_fluid().set(eta_0=jnp.array([0.3, 10.0]))
-    assert advice.dt_limits(scan, DENSITY)[LUBRICATION] == advice.dt_limits(dpd.colloid_fluid(eta_0=10.0), DENSITY)[LUBRICATION]
+    assert (
+        advice.dt_limits(scan, DENSITY)[LUBRICATION]
+        == advice.dt_limits(dpd.colloid_fluid(eta_0=10.0), DENSITY)[LUBRICATION]
+    )
 
 
 def test_each_list_has_a_skin_that_suits_its_beads():
     fluid, counts = dpd.colloid_fluid(), (81_000, 1350)
     skins = advice.suggest_skins(fluid, 0.01, counts, 30.0**3)
     assert len(skins) == 3
-    assert skins[1] > advice.suggest_skin(fluid, 0.01, 1), "building the list of many and few costs sorting the many"
+    assert skins[1] > advice.suggest_skin(fluid, 0.01, 1), (
+        "building the list of many and few costs sorting the many"
+    )
     assert skins[1] < advice.suggest_skins(fluid, 0.01, (81_000, 10), 30.0**3)[1]
     wider = advice.suggest_skins(fluid, 0.04, counts, 30.0**3)
     assert all(a < b for a, b in zip(skins, wider)), "fast beads leave their lists sooner"
@@ -131,10 +153,16 @@ def test_caution_about_a_small_box():
 def test_caution_about_a_morse_potential_cut_short():
     short = dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1, reach=0.25)
     (said,) = cautions(dpd.colloid_fluid(attraction=short))
-    assert "cut off at h = 0.25" in said and "short of the reach that its law declares: give it a reach of 0.3" in said
+    assert (
+        "cut off at h = 0.25" in said
+        and "short of the reach that its law declares: give it a reach of 0.3" in said
+    )
     (said,) = cautions(dpd.colloid_fluid(D0=1.2, kappa=4.0))
     assert "cut off at h = 1," in said and "reach of 1.5" in said
-    for attraction in (dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1), dataclasses.replace(short, cut=0.3)):
+    for attraction in (
+        dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1),
+        dataclasses.replace(short, cut=0.3),
+    ):
         assert cautions(dpd.colloid_fluid(attraction=attraction)) == []
     assert cautions(dpd.colloid_fluid().set(kappa=jnp.array([4.0, 30.0]))), "the widest of a scan"
 
@@ -142,18 +170,27 @@ def test_caution_about_a_morse_potential_cut_short():
 def test_caution_about_frames_further_apart_than_the_diffusion_time():
     """tau is 56.55 for kT 0.1, eta_0 0.3 and R 1."""
     (said,) = cautions(dpd.colloid_fluid(), every=60_000)
-    assert said.startswith("frames are 60 apart, more than the diffusion time 56.55: use Plan(every=56548)")
+    assert said.startswith(
+        "frames are 60 apart, more than the diffusion time 56.55: use Plan(every=56548)"
+    )
     assert cautions(dpd.colloid_fluid(), every=56_548) == []
-    assert cautions(dpd.colloid_fluid(eta_0=0.0), every=10**9) == [], "no viscosity, no diffusion time"
+    assert cautions(dpd.colloid_fluid(eta_0=0.0), every=10**9) == [], (
+        "no viscosity, no diffusion time"
+    )
 
 
 def test_cautions_of_fluids_without_a_diffusion_time():
     """A temperature of zero, and spheres that are not the last species."""
     squeeze = dpd.term(dpd.squeezing_lubrication, eta_0=0.3, delta=1e-3, reach=1.0)
-    pairs = [dpd.interaction((0, 0), drag=squeeze), dpd.interaction((1, 1), dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0))]
+    pairs = [
+        dpd.interaction((0, 0), drag=squeeze),
+        dpd.interaction((1, 1), dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)),
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert cautions(dpd.fluid(interactions=pairs, kT=1.0, radius=(1.0, None)), every=10**6) == []
+        assert (
+            cautions(dpd.fluid(interactions=pairs, kT=1.0, radius=(1.0, None)), every=10**6) == []
+        )
         assert cautions(dpd.colloid_fluid().set(kT=0.0), every=10**6) == []
 
 
@@ -162,7 +199,9 @@ def test_cautions_of_fluids_without_a_diffusion_time():
 
 @pytest.fixture(scope="module")
 def made(key):
-    return dpd.suspension(key, phi=0.1, box=7.0, density=1.0, report=None, sheared=False, eta_0=1.1, gamma=45.0)
+    return dpd.suspension(
+        key, phi=0.1, box=7.0, density=1.0, report=None, sheared=False, eta_0=1.1, gamma=45.0
+    )
 
 
 def test_default_dt_of_a_suspension_passes(made, key):
@@ -185,25 +224,37 @@ def test_a_run_warns_and_goes_on(made, key, monkeypatch):
 
 
 def test_the_smallest_colloid_beside_the_largest_limits_the_step():
-    """Rates of lubrication by hand: ``6 zeta / m`` of the small one, zeta as the square of the mean radius."""
+    """Rates of lubrication by hand: ``6 zeta / m`` of the small one, zeta as the square of the mean
+    radius."""
     fluid = dpd.colloid_fluid(gamma=0.0)
-    limit = lambda *sizes: dict((name.split(":")[0], dt) for name, dt in advice.dt_limits(fluid, [2.4, 0.05], sizes))
+    limit = lambda *sizes: dict(
+        (name.split(":")[0], dt) for name, dt in advice.dt_limits(fluid, [2.4, 0.05], sizes)
+    )
     for small, large in ((1.0, 1.0), (0.3, 1.0), (0.5, 2.0)):
-        rate = lambda other: 6 * 1.5 * math.pi * 0.3 / 1e-3 * ((small + other) / 2) ** 2 / (4 * math.pi * small**3)
-        assert limit(small, large)["lubrication"] == pytest.approx(1 / max(rate(small), rate(large)), rel=1e-5)
-    assert limit(0.5, 1.0)["contact force"] == pytest.approx(0.5**1.5 * limit(1.0, 1.0)["contact force"])
+        rate = lambda other: (
+            6 * 1.5 * math.pi * 0.3 / 1e-3 * ((small + other) / 2) ** 2 / (4 * math.pi * small**3)
+        )
+        assert limit(small, large)["lubrication"] == pytest.approx(
+            1 / max(rate(small), rate(large)), rel=1e-5
+        )
+    assert limit(0.5, 1.0)["contact force"] == pytest.approx(
+        0.5**1.5 * limit(1.0, 1.0)["contact force"]
+    )
     assert dpd.suggest_dt(fluid, [2.4, 0.05], (0.3, 1.0)) < dpd.suggest_dt(fluid, [2.4, 0.05])
 
 
 @pytest.mark.parametrize("name", ["delta", "Delta"])
 def test_a_scan_is_judged_by_the_member_that_needs_the_shortest_step(name):
     fluid = dpd.colloid_fluid()
-    least = lambda value: min(dt for _, dt in advice.dt_limits(fluid.set(**{name: value}), [2.4, 0.05]))
+    least = lambda value: min(
+        dt for _, dt in advice.dt_limits(fluid.set(**{name: value}), [2.4, 0.05])
+    )
     assert least(jnp.array([1e-4, 1e-3])) == pytest.approx(least(1e-4))
 
 
 def test_deep_overlap_is_no_well():
-    """Laws of two spheres are looked at outside contact alone: far inside, a Yukawa repulsion is an attraction."""
+    """Laws of two spheres are looked at outside contact alone: far inside, a Yukawa repulsion is an
+    attraction."""
     limit = lambda law: advice.dt_limits(dpd.colloid_fluid(attraction=law), (2.4, 0.05))[3][1]
     hard = limit(dpd.term(dpd.yukawa, epsilon=0.0, kappa=8.0))
     assert limit(dpd.term(dpd.yukawa, epsilon=2.0, kappa=2.0, reach=1.0)) <= hard < 0.01

@@ -1,4 +1,5 @@
-"""Architecture: numbers flow model -> engine -> prepare -> measure -> calibration, and imports point the same way."""
+"""Architecture: numbers flow model -> engine -> prepare -> measure -> calibration, and imports
+point the same way."""
 
 import ast
 import importlib
@@ -14,8 +15,8 @@ ROOT = pathlib.Path(dpdjax.__file__).parent
 ROOMS = ["model", "engine", "prepare", "measure", "calibration"]
 HOST = {"host", "cli"}
 ENGINE = (
-    "compensated compiling status batching noise box rotation advice flow cells neighbours state order forces observables "
-    "step soundness motion record simulate chunk"
+    "compensated compiling status batching noise box rotation advice flow cells neighbours state "
+    "order forces observables step soundness motion record simulate chunk"
 ).split()
 """The files of the engine, each built on those before it."""
 
@@ -55,7 +56,11 @@ def test_the_engine_is_in_order():
     files = {path.stem: path for path in (ROOT / "engine").glob("*.py") if path.stem != "__init__"}
     assert sorted(files) == sorted(ENGINE), "ENGINE lists every file"
     for place, name in enumerate(ENGINE):
-        own = {module.split(".")[2] for module in imports_of(files[name]) if room_of(module) == "engine"}
+        own = {
+            module.split(".")[2]
+            for module in imports_of(files[name])
+            if room_of(module) == "engine"
+        }
         assert own <= set(ENGINE[:place]), f"{name} imports what comes after it"
 
 
@@ -65,7 +70,9 @@ def test_helpers_import_nothing_of_the_package():
 
 def in_fresh_python(code):
     """What a fresh interpreter prints, by word."""
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
 
 
 def test_import_is_quick():

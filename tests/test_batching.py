@@ -44,7 +44,9 @@ def test_one_flag_serves_a_whole_batch():
 def test_both_ways_are_one(way, row):
     """The first way is what a CPU does, the second what accelerators do."""
     old, expected = (jax.tree.map(lambda x: x[row], tree) for tree in (OLD, EXPECTED))
-    jax.tree.map(np.testing.assert_array_equal, jax.jit(way(work))(NEEDED[row], old, (STEP,)), expected)
+    jax.tree.map(
+        np.testing.assert_array_equal, jax.jit(way(work))(NEEDED[row], old, (STEP,)), expected
+    )
 
 
 def test_work_is_done_only_where_needed():
@@ -63,11 +65,20 @@ def test_work_is_done_only_where_needed():
 @pytest.mark.parametrize("cpu", [True, False], ids=["cpu", "accelerator"])
 def test_each_member_is_vmap(cpu, monkeypatch):
     monkeypatch.setattr(batching, "on_cpu", lambda: cpu)
-    function = lambda tree, shift, key: {"x": tree["x"] * tree["c"] + shift, "u": jax.random.uniform(key)}
+    function = lambda tree, shift, key: {
+        "x": tree["x"] * tree["c"] + shift,
+        "u": jax.random.uniform(key),
+    }
     axes = ({"x": 0, "c": None}, None, 0)
-    arguments = {"x": jnp.arange(6.0).reshape(3, 2), "c": 2.0}, jnp.arange(2.0), jax.random.split(jax.random.key(0), 3)
+    arguments = (
+        {"x": jnp.arange(6.0).reshape(3, 2), "c": 2.0},
+        jnp.arange(2.0),
+        jax.random.split(jax.random.key(0), 3),
+    )
     expected = jax.vmap(function, axes)(*arguments)
-    jax.tree.map(np.testing.assert_array_equal, jax.jit(each_member(function, axes))(*arguments), expected)
+    jax.tree.map(
+        np.testing.assert_array_equal, jax.jit(each_member(function, axes))(*arguments), expected
+    )
     everywhere = each_member(lambda x, y: x - y)(jnp.arange(3.0), jnp.ones(3))
     np.testing.assert_array_equal(everywhere, [-1.0, 0.0, 1.0])
 
@@ -77,14 +88,18 @@ def scanned(water, fresh, key):
     """Six members of a scan as a run would leave them, no step run."""
     fluid = water.set(gamma=jnp.array([2.0, 2.0, 2.0, 9.0, 9.0, 9.0]))
     final = jax.tree.map(lambda x: jnp.stack([x] * 6), fresh)
-    return dpd.Trajectory(final, {"number": np.arange(12).reshape(6, 2)}, fluid, dpd.shear(jnp.arange(6.0)), 0.01)
+    return dpd.Trajectory(
+        final, {"number": np.arange(12).reshape(6, 2)}, fluid, dpd.shear(jnp.arange(6.0)), 0.01
+    )
 
 
 def test_members_are_chosen_by_number_slice_or_list(scanned):
     for which in (slice(3, 6), [3, 4, 5], slice(-3, None)):
         part = scanned[which]
         assert part.is_batch and len(part.members()) == 3
-        assert np.array_equal(part.fluid.value("gamma"), [9, 9, 9]) and np.array_equal(part.flow.rate, [3, 4, 5])
+        assert np.array_equal(part.fluid.value("gamma"), [9, 9, 9]) and np.array_equal(
+            part.flow.rate, [3, 4, 5]
+        )
         assert np.array_equal(part.frames["number"], [[6, 7], [8, 9], [10, 11]])
     assert not scanned[4].is_batch and scanned[-1].flow.rate == 5 and scanned[4].dt == 0.01
     assert [m.flow.rate for m in scanned] == [m.flow.rate for m in scanned.members()]
@@ -100,7 +115,9 @@ def test_members_that_fail_are_named_with_their_numbers(scanned):
     numbers = scanned.fluid, scanned.dt, scanned.flow
     told = failed({1: "before"}, np.uint32([0, 4, 0, 0, 4, 0]), numbers, "stopped")
     assert told.keys() == {1, 4} and told[1] == "before"
-    assert told[4].startswith("member 4 (rate = 4., gamma = 9.) of 6 stopped: positions or velocities became NaN")
+    assert told[4].startswith(
+        "member 4 (rate = 4., gamma = 9.) of 6 stopped: positions or velocities became NaN"
+    )
     alone = failed({}, np.uint32(4), (scanned[0].fluid, 0.01, scanned[0].flow), "stopped")
     assert alone[0].startswith("stopped: positions")
 
@@ -108,22 +125,39 @@ def test_members_that_fail_are_named_with_their_numbers(scanned):
 def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
     """The whole batch stopped, without a name and without its frames."""
     go = lambda rates: dpd.run(
-        water, fresh, jax.random.split(key, 3), 0.01, dpd.Plan(4, 10), dpd.shear(jnp.array(rates)), progress=False
+        water,
+        fresh,
+        jax.random.split(key, 3),
+        0.01,
+        dpd.Plan(4, 10),
+        dpd.shear(jnp.array(rates)),
+        progress=False,
     )
-    told = r"member 1 \(rate = 90.\) of 3 stopped between steps 0 and 40: the beads ran away.*survivors"
+    told = (
+        r"member 1 \(rate = 90.\) of 3 stopped between steps 0 and 40: the beads ran "
+        r"away.*survivors"
+    )
     with pytest.warns(UserWarning, match=told):
         run = go([0.2, 90.0, 0.4])
     well = go([0.2, 0.3, 0.4])
     assert [k for k, _ in run.failed] == [1] and run.complete
     assert [m.complete for m in run.members()] == [True, False, True] and run[1].failed[0][0] == 0
-    assert np.all(np.isnan(run.frames["temperature"][1])) and np.all(np.isfinite(run.final.velocity))
+    assert np.all(np.isnan(run.frames["temperature"][1])) and np.all(
+        np.isfinite(run.final.velocity)
+    )
     kept = run.survivors
     assert not kept.failed and np.array_equal(kept.flow.rate, [0.2, 0.4])
     jax.tree.map(np.testing.assert_array_equal, kept.frames, well[[0, 2]].frames)
     jax.tree.map(np.testing.assert_array_equal, kept.final.position, well[[0, 2]].final.position)
-    with pytest.raises(ValueError, match=r"the run failed: member 1 \(rate = 90.\) of 3 stopped.*measure the others, trajectory.survivors"):
+    with pytest.raises(
+        ValueError,
+        match=r"the run failed: member 1 \(rate = 90.\) of 3 stopped.*measure the others, "
+        r"trajectory.survivors",
+    ):
         dpd.shear_viscosity(run)
-    with pytest.raises(ValueError, match=r"the run failed: member 1 .*the survivors of the batch it was in"):
+    with pytest.raises(
+        ValueError, match=r"the run failed: member 1 .*the survivors of the batch it was in"
+    ):
         dpd.shear_viscosity(run[1])
     with pytest.raises(dpd.RunError, match=r"member 0 \(rate = 80.\) of 3 .*member 2") as caught:
         go([80.0, 90.0, 100.0])
@@ -132,7 +166,9 @@ def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):
 
 
 def test_a_grid_of_keys_is_told_what_to_give(water, fresh, key):
-    with pytest.raises(ValueError, match=r"shape \(3, 3\); give a vector of them, keys.reshape\(-1\)"):
+    with pytest.raises(
+        ValueError, match=r"shape \(3, 3\); give a vector of them, keys.reshape\(-1\)"
+    ):
         dpd.run(water, fresh, jax.random.split(key, (3, 3)), 0.01, dpd.Plan(1))
 
 
@@ -141,6 +177,11 @@ def test_beads_that_no_list_holds(water, fresh, key):
     told = "the beads crowd together until no neighbour list holds them; give repulsions"
     with pytest.warns(UserWarning, match=rf"member 1 \(a = -300.\) of 2 .*{told}"):
         run = dpd.run(
-            water.set(a=jnp.array([25.0, -300.0])), fresh, jax.random.split(key, 2), 0.005, dpd.Plan(20, 100), progress=False
+            water.set(a=jnp.array([25.0, -300.0])),
+            fresh,
+            jax.random.split(key, 2),
+            0.005,
+            dpd.Plan(20, 100),
+            progress=False,
         )
     assert [k for k, _ in run.failed] == [1] and "overflow" not in run.failed[0][1]

@@ -1,4 +1,5 @@
-"""Calibrations: the whole loop on a known fluid, refusals that say why, and two real ones on small boxes."""
+"""Calibrations: the whole loop on a known fluid, refusals that say why, and two real ones on small
+boxes."""
 
 import math
 from types import SimpleNamespace
@@ -11,7 +12,13 @@ from synthetic import FLUID, replace_runs
 
 import dpdjax as dpd
 from dpdjax.calibration import experiment
-from dpdjax.calibration.calibrate import TargetError, calibrate, drag_guess, measure_viscosity, rough_viscosity
+from dpdjax.calibration.calibrate import (
+    TargetError,
+    calibrate,
+    drag_guess,
+    measure_viscosity,
+    rough_viscosity,
+)
 from dpdjax.calibration.goal import pressure_goal, suggest_rate, viscosity_goal_at
 
 UPPER, LOWER = 1, -1
@@ -22,7 +29,10 @@ def asked(monkeypatch):
     return replace_runs(monkeypatch)
 
 
-@pytest.mark.parametrize("target, sign, guess", [(1.5, UPPER, None), (1.2, UPPER, 1.0), (1.5, LOWER, 0.5), (1.2, LOWER, 40.0)])
+@pytest.mark.parametrize(
+    "target, sign, guess",
+    [(1.5, UPPER, None), (1.2, UPPER, 1.0), (1.5, LOWER, 0.5), (1.2, LOWER, 40.0)],
+)
 def test_answer_is_the_root(water, key, asked, target, sign, guess):
     branch = "upper" if sign == UPPER else "lower"
     fit = calibrate(water, viscosity=target, branch=branch, guess=guess, key=key)
@@ -33,7 +43,10 @@ def test_answer_is_the_root(water, key, asked, target, sign, guess):
     assert fit.measured.deviation(target) < 4 and fit.measured.error <= 0.01 * target
     assert fit.fluid.value("gamma") == fit.value and fit.fluid.value("a") == 25.0
     assert (fit.parameter, fit.name, fit.target) == ("gamma", "viscosity", target)
-    assert str(fit) == f"gamma = {fit.estimate} gives viscosity {target:g}: a fresh run measured {fit.measured}"
+    assert (
+        str(fit)
+        == f"gamma = {fit.estimate} gives viscosity {target:g}: a fresh run measured {fit.measured}"
+    )
 
 
 def test_errors_asked_for(water, key, asked):
@@ -50,14 +63,23 @@ def test_error_bars_cover_the_root(water, key, monkeypatch):
     deviations = []
     for seed in range(60):
         replace_runs(monkeypatch, seed)
-        deviations.append(calibrate(water, viscosity=1.5, guess=20.0, key=key).estimate.deviation(math.exp(FLUID.root(1.5, UPPER))))
+        deviations.append(
+            calibrate(water, viscosity=1.5, guess=20.0, key=key).estimate.deviation(
+                math.exp(FLUID.root(1.5, UPPER))
+            )
+        )
     assert 0.5 < np.mean(np.array(deviations) < 1) < 0.85
 
 
 @pytest.mark.parametrize("bias", [0.7, 1.3])
-@pytest.mark.parametrize("branch, guess", [("upper", 3.0), ("upper", 50.0), ("lower", 0.5), ("lower", 20.0)])
-def test_biased_slopes_neither_hide_nor_shift_the_answer(water, key, monkeypatch, bias, branch, guess):
-    """Slopes 30 % off, and a target little above the minimum: nothing is believed that was not measured."""
+@pytest.mark.parametrize(
+    "branch, guess", [("upper", 3.0), ("upper", 50.0), ("lower", 0.5), ("lower", 20.0)]
+)
+def test_biased_slopes_neither_hide_nor_shift_the_answer(
+    water, key, monkeypatch, bias, branch, guess
+):
+    """Slopes 30 % off, and a target little above the minimum: nothing is believed that was not
+    measured."""
     target = FLUID.value(FLUID.lowest) + 0.1
     for seed in range(10):
         replace_runs(monkeypatch, seed, bias)
@@ -75,7 +97,9 @@ def test_progress_is_reported(water, key, asked):
 
 @pytest.mark.parametrize("branch, guess", [("upper", None), ("lower", 1.0)])
 def test_target_below_the_minimum_states_the_minimum(water, key, asked, branch, guess):
-    with pytest.raises(TargetError, match="viscosity 0.8 cannot be reached with gamma: the smallest measured is ") as raised:
+    with pytest.raises(
+        TargetError, match="viscosity 0.8 cannot be reached with gamma: the smallest measured is "
+    ) as raised:
         calibrate(water, viscosity=0.8, branch=branch, guess=guess, key=key)
     words = str(raised.value).replace(";", "").split()
     value, error = float(words[words.index("+-") - 1]), float(words[words.index("+-") + 1])
@@ -85,7 +109,10 @@ def test_target_below_the_minimum_states_the_minimum(water, key, asked, branch, 
 
 
 def test_giving_up_names_the_nearest(water, key, asked):
-    with pytest.raises(TargetError, match="no answer after 2 points and 2e.03 particle-steps: nearest is viscosity .* at gamma"):
+    with pytest.raises(
+        TargetError,
+        match="no answer after 2 points and 2e.03 particle-steps: nearest is viscosity .* at gamma",
+    ):
         calibrate(water, viscosity=3.0, guess=2.0, key=key, max_particle_steps=1500)
 
 
@@ -118,7 +145,10 @@ def test_measured_viscosity_is_as_good_as_asked(water, key, asked):
         ({"viscosity": 1.0, "density": -3.0}, "density is -3.0"),
         ({"viscosity": 1.0, "guess": 0.0}, "guess is 0.0; it must be above zero"),
         ({"viscosity": 1.0, "rate": -0.1}, "rate is -0.1; it must be above zero"),
-        ({"parameter": "mass", "pressure": 20.0}, r"mass is a table of shape \(1,\); only a scalar"),
+        (
+            {"parameter": "mass", "pressure": 20.0},
+            r"mass is a table of shape \(1,\); only a scalar",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
 )
@@ -142,17 +172,25 @@ def test_what_cannot_run_is_refused_before_it_runs(water, key, fresh, monkeypatc
 
 def test_fixed_step_too_long_for_the_next_drag_is_refused(ideal, key, fresh, monkeypatch):
     state = jax.tree.map(lambda leaf: leaf[None], fresh)
-    boxes = experiment.Bench(ideal, pressure_goal(1.0), 3.0, state, jax.random.split(key, 1), dt=0.02)
+    boxes = experiment.Bench(
+        ideal, pressure_goal(1.0), 3.0, state, jax.random.split(key, 1), dt=0.02
+    )
     monkeypatch.setattr(experiment, "replayed", never)
     with pytest.raises(ValueError, match="dt 0.02 is too large for the drag"):
         experiment.measure(boxes, ideal.set(gamma=100.0), 0.1, 0.0, 10**9, lambda text: None)
 
 
 def test_wrong_names(water, key):
-    with pytest.raises(TypeError, match="no term of this fluid has 'gama'; it has kT, mass, a, gamma, r_c"):
+    with pytest.raises(
+        TypeError, match="no term of this fluid has 'gama'; it has kT, mass, a, gamma, r_c"
+    ):
         calibrate(water, "gama", viscosity=1.0, key=key)
-    table = dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=[[4.0, 5.0], [5.0, 6.0]], r_c=1.0)], kT=1.0)
-    with pytest.raises(ValueError, match=r"gamma is a table of shape \(2, 2\); only a scalar can be calibrated"):
+    table = dpd.fluid(
+        drag=[dpd.term(dpd.central_drag, gamma=[[4.0, 5.0], [5.0, 6.0]], r_c=1.0)], kT=1.0
+    )
+    with pytest.raises(
+        ValueError, match=r"gamma is a table of shape \(2, 2\); only a scalar can be calibrated"
+    ):
         calibrate(table, viscosity=1.0, key=key)
     with pytest.raises(TypeError, match="viscosity is 'thick'; a number"):
         calibrate(water, viscosity="thick", key=key)
@@ -174,12 +212,16 @@ def test_what_is_observed_is_one_number(water, key, fresh, monkeypatch, observe,
     batch = jax.tree.map(lambda leaf: leaf[None], fresh)
     monkeypatch.setattr(experiment, "replayed", never)
     monkeypatch.setattr(experiment.jax, "vmap", lambda build: lambda keys: batch)
-    with pytest.raises(TypeError, match=f"{found}.*give a function of one number, such as observe=dpd.temperature"):
+    with pytest.raises(
+        TypeError, match=f"{found}.*give a function of one number, such as observe=dpd.temperature"
+    ):
         calibrate(water, target=1.0, observe=observe, key=key, dt=0.01)
 
 
 def test_arguments_that_would_be_ignored(water, key):
-    with pytest.raises(ValueError, match="observe= is used with target= only; give target= or leave observe= out"):
+    with pytest.raises(
+        ValueError, match="observe= is used with target= only; give target= or leave observe= out"
+    ):
         calibrate(water, viscosity=1.0, observe=lambda fluid, state: 1.0, key=key)
     with pytest.raises(ValueError, match="flow= is used with target= only"):
         calibrate(water, pressure=1.0, flow=dpd.shear(0.1), key=key)
@@ -244,14 +286,18 @@ def test_measurement_goes_on_until_its_error_is_met(monkeypatch):
 
 
 def test_measurement_ends_where_the_steps_do(monkeypatch):
-    measured = experiment.measure(noisy_boxes(monkeypatch, 0), None, 1e-4, 0.0, 10**6, lambda text: None)
+    measured = experiment.measure(
+        noisy_boxes(monkeypatch, 0), None, 1e-4, 0.0, 10**6, lambda text: None
+    )
     assert measured.particle_steps == 10**6 and measured.estimate.error > 1e-4
 
 
 def test_run_that_breaks_stops_the_calibration(monkeypatch):
     boxes = noisy_boxes(monkeypatch, 0)
     boxes.state = boxes.state._replace(status=np.array([0, 4, 0, 0], np.uint32))
-    with pytest.raises(RuntimeError, match="the calibration stopped: positions or velocities became NaN"):
+    with pytest.raises(
+        RuntimeError, match="the calibration stopped: positions or velocities became NaN"
+    ):
         experiment.measure(boxes, None, 0.01, 0.0, 10**9, lambda text: None)
 
 
@@ -261,7 +307,9 @@ def test_plateau_is_the_latest_sure_slope():
     rising = np.array([0.2, 0.4, 0.6, 0.8, 1.0, 1.0, 1.0, 1.0])
     slope = experiment.plateau(rising + noise)
     assert slope.deviation(1.0) < 4 and slope.error < 0.1
-    unsure = experiment.plateau(0.01 * rising + np.abs(noise[:, ::-1]) * np.sign(rng.normal(size=(50, 8))))
+    unsure = experiment.plateau(
+        0.01 * rising + np.abs(noise[:, ::-1]) * np.sign(rng.normal(size=(50, 8)))
+    )
     assert unsure.error < 0.03, "where no slope is sure, the least noisy"
 
 
@@ -275,7 +323,9 @@ def short_pieces(monkeypatch):
 
 def test_repulsion_of_a_pressure(water, key, short_pieces):
     """The pressure of a = 25, measured directly, leads back to a = 25."""
-    boxes = experiment.prepare(water, pressure_goal(1.0), key, density=3.0, side=3.0, boxes=4, dt=0.01)
+    boxes = experiment.prepare(
+        water, pressure_goal(1.0), key, density=3.0, side=3.0, boxes=4, dt=0.01
+    )
     pressure = experiment.measure(boxes, water, 0.05, 1.0, 10**9, lambda text: None).estimate
     assert pressure.value == pytest.approx(23.65, rel=0.02)
     fit = calibrate(water, "a", pressure=pressure.value, guess=20.0, key=jax.random.key(1), **BOX)
@@ -288,7 +338,9 @@ def test_repulsion_of_a_pressure(water, key, short_pieces):
 
 def test_friction_of_a_viscosity(water, key, short_pieces):
     """At a = 0 the viscosity 1.26 belongs to gamma 5, on the falling branch."""
-    fit = calibrate(water.set(a=0.0), viscosity=1.26, branch="lower", guess=4.0, tolerance=0.1, key=key, **BOX)
+    fit = calibrate(
+        water.set(a=0.0), viscosity=1.26, branch="lower", guess=4.0, tolerance=0.1, key=key, **BOX
+    )
     slope = fit.curve.slope(math.log(fit.value)) / fit.value
     assert fit.estimate.deviation(5.0) < 4 and fit.error < 1.0 and slope < 0
     assert fit.error * -slope <= 0.1 / 3 * 1.26, "a third of the tolerance"
@@ -296,11 +348,16 @@ def test_friction_of_a_viscosity(water, key, short_pieces):
 
 
 def test_rate_falls_where_kinetic_stress_heats(water):
-    rates = [viscosity_goal_at(water.set(gamma=gamma), 3.0, 0.9, 0.2).flow.rate for gamma in (0.5, 2.0, 8.0)]
+    rates = [
+        viscosity_goal_at(water.set(gamma=gamma), 3.0, 0.9, 0.2).flow.rate
+        for gamma in (0.5, 2.0, 8.0)
+    ]
     assert 0.02 < rates[0] < 0.1 < rates[1] < rates[2]
 
 
 def test_heat_is_refused(water):
     """A hundred times the rate that calibrate would choose."""
-    with pytest.raises(RuntimeError, match="instead of kT = 1, with shear rate 10 .*give a smaller rate="):
+    with pytest.raises(
+        RuntimeError, match="instead of kT = 1, with shear rate 10 .*give a smaller rate="
+    ):
         measure_viscosity(water, key=jax.random.key(0), rate=10.0, box=4.0, tolerance=0.2)

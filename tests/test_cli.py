@@ -1,4 +1,5 @@
-"""The command line: quick help, one JSON object, readable text, pictures, errors on standard error."""
+"""The command line: quick help, one JSON object, readable text, pictures, errors on standard
+error."""
 
 import importlib.util
 import json
@@ -16,9 +17,17 @@ from dpdjax.cli import main
 
 PNG = b"\x89PNG\r\n"
 VISCOSITY_KEYS = {
-    "gamma", "gamma_error", "viscosity", "viscosity_error", "temperature", "dt", "rate", "seconds", "particle_steps",
+    "gamma",
+    "gamma_error",
+    "viscosity",
+    "viscosity_error",
+    "temperature",
+    "dt",
+    "rate",
+    "seconds",
+    "particle_steps",
     "compile_seconds",
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -34,7 +43,9 @@ def said(capsys, *arguments):
     return status, *capsys.readouterr()
 
 
-@pytest.mark.parametrize("command", [[], ["viscosity"], ["calibrate"], ["suspension"], ["bench"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "command", [[], ["viscosity"], ["calibrate"], ["suspension"], ["bench"]], ids=" ".join
+)
 def test_help_imports_no_jax(command):
     code = f"""
 import sys
@@ -69,7 +80,9 @@ def test_programs_are_kept_unless_told_otherwise(known, capsys, monkeypatch, pla
 
 
 def test_module_runs_as_a_command():
-    done = subprocess.run([sys.executable, "-m", "dpdjax.cli", "--help"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-m", "dpdjax.cli", "--help"], capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0 and "viscosity" in done.stdout and "calibrate" in done.stdout
 
 
@@ -91,7 +104,13 @@ def test_calibration_as_json(known, capsys):
     assert abs(result["gamma"] - math.exp(FLUID.root(1.5, 1))) < 4 * result["gamma_error"]
     assert abs(result["viscosity"] - 1.5) < 4 * result["viscosity_error"]
     assert len(result["history"]) >= 2
-    assert set(result["history"][0]) == {"gamma", "viscosity", "viscosity_error", "slope", "slope_error"}
+    assert set(result["history"][0]) == {
+        "gamma",
+        "viscosity",
+        "viscosity_error",
+        "slope",
+        "slope_error",
+    }
     assert "slope" in err, "progress goes to standard error"
 
 
@@ -104,7 +123,15 @@ def test_numbers_reach_the_calibration(known, capsys, monkeypatch):
 
     monkeypatch.setattr(dpd, "calibration_of_tests", dpd.calibrate, raising=False)
     monkeypatch.setattr(dpd, "calibrate", spy)
-    numbers = {"viscosity": 1.5, "density": 4.0, "tolerance": 0.1, "branch": "lower", "dt": 0.003, "rate": 0.1, "box": 6.0}
+    numbers = {
+        "viscosity": 1.5,
+        "density": 4.0,
+        "tolerance": 0.1,
+        "branch": "lower",
+        "dt": 0.003,
+        "rate": 0.1,
+        "box": 6.0,
+    }
     options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
     assert said(capsys, "calibrate", *options, "--gamma", 0.5, "--repulsion", 10, "--kT", 2)[0] == 0
     assert {name: asked[name] for name in numbers} == numbers
@@ -114,20 +141,28 @@ def test_numbers_reach_the_calibration(known, capsys, monkeypatch):
 def test_same_seed_same_words(known, capsys, monkeypatch):
     first = said(capsys, "viscosity", "--json")[1]
     replace_runs(monkeypatch)
-    assert json.loads(first) | {"seconds": 0} == json.loads(said(capsys, "viscosity", "--json")[1]) | {"seconds": 0}
+    assert json.loads(first) | {"seconds": 0} == json.loads(
+        said(capsys, "viscosity", "--json")[1]
+    ) | {"seconds": 0}
 
 
 def test_readable_answers(known, capsys):
-    lines = said(capsys, "calibrate", "--viscosity", 1.5, "--branch", "lower", "--gamma", 2)[1].splitlines()
+    lines = said(capsys, "calibrate", "--viscosity", 1.5, "--branch", "lower", "--gamma", 2)[
+        1
+    ].splitlines()
     assert lines[0] == "wanted viscosity 1.5"
     assert lines[1].startswith("gamma     = 1.") and lines[2].startswith("viscosity = 1.")
-    assert all(float(line.split("+-")[1].split()[0]) > 0 for line in lines[1:3]), "enough digits to show the error"
+    assert all(float(line.split("+-")[1].split()[0]) > 0 for line in lines[1:3]), (
+        "enough digits to show the error"
+    )
     lines = said(capsys, "viscosity", "--gamma", 2)[1].splitlines()
     assert lines[0] == "gamma     = 2" and "particle-steps" in lines[-1]
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="plots are an extra")
-@pytest.mark.parametrize("command", [["viscosity"], ["calibrate", "--viscosity", 1.5]], ids=["viscosity", "calibrate"])
+@pytest.mark.parametrize(
+    "command", [["viscosity"], ["calibrate", "--viscosity", 1.5]], ids=["viscosity", "calibrate"]
+)
 def test_plot_writes_a_picture(known, capsys, command, tmp_path):
     status, out, err = said(capsys, *command, "--json", "--plot", tmp_path / "result.png")
     assert status == 0 and "gamma" in json.loads(out)
@@ -143,9 +178,15 @@ def test_plot_writes_a_picture(known, capsys, command, tmp_path):
         (["viscosity", "--density", 0], "density is 0.0; it must be above zero"),
         (["viscosity", "--tolerance", 0], "tolerance is 0.0; it must be above zero"),
         (["calibrate", "--viscosity", -1], "viscosity is -1.0; it must be above zero"),
-        (["calibrate", "--viscosity", 0.8], "viscosity 0.8 cannot be reached with gamma: the smallest measured is 0.9"),
+        (
+            ["calibrate", "--viscosity", 0.8],
+            "viscosity 0.8 cannot be reached with gamma: the smallest measured is 0.9",
+        ),
         (["viscosity", "--plot", "nowhere/at/all.png"], "there is no folder nowhere/at"),
-        (["suspension", "--phi", 0.1, "--out", "nowhere/at/all.gsd"], "there is no folder nowhere/at"),
+        (
+            ["suspension", "--phi", 0.1, "--out", "nowhere/at/all.gsd"],
+            "there is no folder nowhere/at",
+        ),
         (["suspension", "--phi", 0.1, "--out", __file__], "is there already; give another name"),
         (["suspension", "--phi", -0.1], "phi is -0.1; it must be above zero"),
         (["suspension", "--phi", 0.1, "--times", 0], "times is 0.0; it must be above zero"),
@@ -165,7 +206,15 @@ def test_errors_are_one_line_on_standard_error(known, capsys, arguments, message
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["viscosity", "--gama", "3"], ["calibrate"], ["calibrate", "--viscosity", "x"], ["suspension"]], ids=str
+    "arguments",
+    [
+        [],
+        ["viscosity", "--gama", "3"],
+        ["calibrate"],
+        ["calibrate", "--viscosity", "x"],
+        ["suspension"],
+    ],
+    ids=str,
 )
 def test_misspelt_commands(capsys, arguments):
     with pytest.raises(SystemExit) as end:
@@ -186,7 +235,20 @@ def test_interrupt_ends_quietly(known, capsys, monkeypatch):
 def test_calibration_of_real_boxes(capsys, monkeypatch):
     """The whole way, on boxes of 81 beads: at a = 0 the viscosity 1.26 belongs to gamma 5."""
     monkeypatch.setattr(experiment, "PIECE", dpd.Plan(20, 20))
-    small = ["--box", 3, "--dt", 0.01, "--tolerance", 0.1, "--repulsion", 0, "--branch", "lower", "--gamma", 4]
+    small = [
+        "--box",
+        3,
+        "--dt",
+        0.01,
+        "--tolerance",
+        0.1,
+        "--repulsion",
+        0,
+        "--branch",
+        "lower",
+        "--gamma",
+        4,
+    ]
     status, out, err = said(capsys, "calibrate", "--viscosity", 1.26, *small, "--json")
     assert status == 0, err
     result = json.loads(out)
@@ -200,18 +262,55 @@ def test_bench_as_json(capsys):
     status, out, err = said(capsys, "bench", *small, "--json")
     assert (status, err, out.count("\n")) == (0, "", 1)
     result = json.loads(out)
-    wanted = {"particle_steps_per_second", "rebuild_seconds", "steps_per_rebuild", "compile_seconds", "peak_memory_bytes"}
-    assert wanted | {"device", "tangent_over_primal", "beads", "batch", "dt", "skin", "list_pairs"} == set(result)
+    wanted = {
+        "particle_steps_per_second",
+        "rebuild_seconds",
+        "steps_per_rebuild",
+        "compile_seconds",
+        "peak_memory_bytes",
+    }
+    assert wanted | {
+        "device",
+        "tangent_over_primal",
+        "beads",
+        "batch",
+        "dt",
+        "skin",
+        "list_pairs",
+    } == set(result)
     assert all(result[name] > 0 for name in wanted)
     assert result["beads"] == 200 and result["batch"] == 2
     assert 1 <= result["steps_per_rebuild"] <= 200
 
 
-SMALL = ("--phi", 0.1, "--box", 6, "--radius", 0.5, "--density", 1, "--times", 0.002, "--frames", 10)
+SMALL = (
+    "--phi",
+    0.1,
+    "--box",
+    6,
+    "--radius",
+    0.5,
+    "--density",
+    1,
+    "--times",
+    0.002,
+    "--frames",
+    10,
+)
 SUSPENSION_KEYS = {
-    "colloids", "solvents", "phi", "tau", "dt", "frames", "times", "temperature", "contact_number", "file", "particle_steps",
+    "colloids",
+    "solvents",
+    "phi",
+    "tau",
+    "dt",
+    "frames",
+    "times",
+    "temperature",
+    "contact_number",
+    "file",
+    "particle_steps",
     "seconds",
-}  # fmt: skip
+}
 
 
 def test_suspension_as_json(capsys, tmp_path, monkeypatch):
@@ -222,25 +321,53 @@ def test_suspension_as_json(capsys, tmp_path, monkeypatch):
     assert status == 0 and out.count("\n") == 1, err
     result = json.loads(out)
     assert set(result) == SUSPENSION_KEYS
-    assert result["colloids"] == round(0.1 * 6**3 / (math.pi / 6)) and result["solvents"] == math.floor(0.9 * 6**3)
+    assert result["colloids"] == round(0.1 * 6**3 / (math.pi / 6)) and result[
+        "solvents"
+    ] == math.floor(0.9 * 6**3)
     assert result["tau"] == pytest.approx(tau) and result["phi"] == pytest.approx(0.1, rel=0.02)
     assert result["frames"] == 10 and result["times"] == pytest.approx(0.002, rel=0.1)
     assert 0.05 < result["temperature"] < 0.2 and result["contact_number"] >= 0
     assert result["file"] is None and list(tmp_path.iterdir()) == []
-    assert "41 colloids and 194 solvent beads" in err and "dpdjax suspension: note: box side 6 is small" in err
+    assert (
+        "41 colloids and 194 solvent beads" in err
+        and "dpdjax suspension: note: box side 6 is small" in err
+    )
 
 
 def test_suspension_writes_a_file(capsys, tmp_path):
     gsd = pytest.importorskip("gsd.hoomd")
     path = tmp_path / "sheared.gsd"
-    status, out, err = said(capsys, "suspension", *SMALL, "--settle", 0, "--rate", 2.0, "--spread", 0.1, "--D0", 0.5, "--out", path)
+    status, out, err = said(
+        capsys,
+        "suspension",
+        *SMALL,
+        "--settle",
+        0,
+        "--rate",
+        2.0,
+        "--spread",
+        0.1,
+        "--D0",
+        0.5,
+        "--out",
+        path,
+    )
     assert status == 0, err
     lines = out.splitlines()
-    assert lines[0].startswith("10 frames over 0.00") and "contact number" in lines[1] and lines[2] == f"wrote {path}"
+    assert (
+        lines[0].startswith("10 frames over 0.00")
+        and "contact number" in lines[1]
+        and lines[2] == f"wrote {path}"
+    )
     with gsd.open(str(path), "r") as file:
         assert len(file) == 10 and file[-1].particles.types == ["A", "B"]
-        assert file[-1].particles.N == 194 + sum(file[-1].particles.typeid) and len(set(file[-1].particles.diameter)) > 10
-        assert file[-1].configuration.box[3] == pytest.approx(2.0 * 0.002 * 6 * math.pi * 0.3 * 0.5**3 / 0.1, rel=0.1)
+        assert (
+            file[-1].particles.N == 194 + sum(file[-1].particles.typeid)
+            and len(set(file[-1].particles.diameter)) > 10
+        )
+        assert file[-1].configuration.box[3] == pytest.approx(
+            2.0 * 0.002 * 6 * math.pi * 0.3 * 0.5**3 / 0.1, rel=0.1
+        )
 
 
 def test_numbers_reach_the_suspension(capsys, monkeypatch):
@@ -251,10 +378,22 @@ def test_numbers_reach_the_suspension(capsys, monkeypatch):
         raise ValueError("seen")
 
     monkeypatch.setattr(dpd, "suspension", spy)
-    numbers = {"phi": 0.2, "box": 9.0, "radius": 0.7, "spread": 0.1, "density": 2.0, "kT": 0.2, "gamma": 9.0, "D0": 1.0}
+    numbers = {
+        "phi": 0.2,
+        "box": 9.0,
+        "radius": 0.7,
+        "spread": 0.1,
+        "density": 2.0,
+        "kT": 0.2,
+        "gamma": 9.0,
+        "D0": 1.0,
+    }
     numbers |= {"kappa": 20.0, "dt": 1e-4}
     options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
-    assert said(capsys, "suspension", *options, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[-1] == "dpdjax suspension: seen"
+    assert (
+        said(capsys, "suspension", *options, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[-1]
+        == "dpdjax suspension: seen"
+    )
     assert {name: asked[name] for name in numbers} == numbers
     assert asked["eta_0"] == 0.9 and asked["sheared"] is True
     said(capsys, "suspension", "--phi", 0.2)
@@ -271,7 +410,11 @@ def test_interrupt_of_a_suspension_ends_it(settle, capsys, monkeypatch):
         return SimpleNamespace(complete=False, frames={}, final=None)
 
     fluid = SimpleNamespace(set=lambda **_: None)
-    monkeypatch.setattr(dpd, "suspension", lambda *_, **how: SimpleNamespace(fluid=fluid, state=None, dt=0.1, tau=10.0))
+    monkeypatch.setattr(
+        dpd,
+        "suspension",
+        lambda *_, **how: SimpleNamespace(fluid=fluid, state=None, dt=0.1, tau=10.0),
+    )
     monkeypatch.setattr(dpd, "run", run)
     status, out, err = said(capsys, "suspension", "--phi", 0.2, "--settle", settle)
     assert (status, out, err.splitlines()[-1]) == (130, "", "dpdjax suspension: interrupted")

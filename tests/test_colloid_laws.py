@@ -38,12 +38,16 @@ def test_solvent_is_pushed_out_of_colloids_and_rubbed():
     push = force(dpd.balanced_repulsion, strength=2.5, r_c=1.0, **BEAD)(h)
     np.testing.assert_allclose(push, 2.5 / cut * (1 - h / cut), rtol=1e-12)
     assert np.all(np.diff(push) < 0), "goes on growing inside"
-    np.testing.assert_allclose(dpd.balanced_drag(h, gamma=4.5, r_c=1.0, **BEAD), 4.5 * (1 - h / cut) ** 2, rtol=1e-12)
+    np.testing.assert_allclose(
+        dpd.balanced_drag(h, gamma=4.5, r_c=1.0, **BEAD), 4.5 * (1 - h / cut) ** 2, rtol=1e-12
+    )
 
 
 def test_strength_of_the_repulsion_in_the_page_and_in_the_scripts():
     """kT 0.1, R 1: 9.62 by the cut from the surface, 1.98 by that from the centre."""
-    at_surface = lambda law: float(force(law, strength=2.5, r_c=1.0, R_i=0.0, R_j=1.0)(jnp.zeros(1))[0])
+    at_surface = lambda law: float(
+        force(law, strength=2.5, r_c=1.0, R_i=0.0, R_j=1.0)(jnp.zeros(1))[0]
+    )
     assert at_surface(dpd.balanced_repulsion) == pytest.approx(9.62, abs=0.005)
     assert at_surface(dpd.scripts_repulsion) == pytest.approx(1.98, abs=0.005)
     assert at_surface(dpd.scripts_repulsion) == pytest.approx(2.5 / 2 ** (1 / 3))
@@ -56,7 +60,9 @@ def test_contact_has_its_two_branches():
     push = force(dpd.contact, **CONTACT)
     inside, outside = np.linspace(-0.3, 0.0, 7), np.linspace(1e-5, 9.9e-4, 9)
     np.testing.assert_allclose(push(jnp.asarray(inside)), 1000 * (1 - inside / 1.2), rtol=1e-12)
-    np.testing.assert_allclose(push(jnp.asarray(outside)), 1000 * (1 - outside / 1e-3) ** 3, rtol=1e-9)
+    np.testing.assert_allclose(
+        push(jnp.asarray(outside)), 1000 * (1 - outside / 1e-3) ** 3, rtol=1e-9
+    )
 
 
 def test_contact_is_continuous_where_its_branches_meet():
@@ -80,7 +86,9 @@ def test_morse_has_its_depth_place_and_curvature():
     assert well(0.05) == -1.2
     assert jax.grad(well)(0.05) == pytest.approx(0.0, abs=1e-12)
     assert jax.grad(jax.grad(well))(0.05) == pytest.approx(2 * 1.2 * 30**2)
-    np.testing.assert_allclose(well(H), 1.2 * (np.exp(-60 * (H - 0.05)) - 2 * np.exp(-30 * (H - 0.05))), atol=1e-14)
+    np.testing.assert_allclose(
+        well(H), 1.2 * (np.exp(-60 * (H - 0.05)) - 2 * np.exp(-30 * (H - 0.05))), atol=1e-14
+    )
     assert well(0.05 + 3 / 30) == pytest.approx(-0.1 * 1.2, rel=0.05), "a tenth is left at 3/kappa"
     _, reach = dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.05).between()
     assert reach == pytest.approx(0.05 + 0.2)
@@ -108,7 +116,9 @@ def test_depletion_at_contact_and_at_its_end():
     assert depletion(0.0) == pytest.approx(-0.3 * 0.25 * (1 + 1.5 * 1.4 / 0.2))
     assert depletion(0.4) == pytest.approx(0.0, abs=1e-12)
     assert jax.grad(depletion)(0.4) == pytest.approx(0.0, abs=1e-12)
-    assert dpd.term(dpd.asakura_oosawa, phi_p=0.25, r_g=0.2).between(kT=0.3)[1] == pytest.approx(0.4)
+    assert dpd.term(dpd.asakura_oosawa, phi_p=0.25, r_g=0.2).between(kT=0.3)[1] == pytest.approx(
+        0.4
+    )
 
 
 def test_yukawa_is_screened():
@@ -126,18 +136,25 @@ def test_squeezing_goes_as_one_over_the_gap():
     np.testing.assert_allclose(squeeze(H), 3 * np.pi * 0.3 * 1.4**2 / (2 * H), rtol=1e-13)
     closest = float(squeeze(1e-3))
     assert closest == pytest.approx(3 * np.pi * 0.3 * 1.4**2 / 2e-3)
-    assert all(squeeze(h) == closest for h in (-0.2, 0.0, 5e-4)), "constant below delta, overlap included"
+    assert all(squeeze(h) == closest for h in (-0.2, 0.0, 5e-4)), (
+        "constant below delta, overlap included"
+    )
     assert squeeze(1e-3 * (1 + 1e-9)) == pytest.approx(closest, rel=1e-8)
 
 
 def test_lubrication_of_unequal_spheres():
     """The published form is 1.27 times too large at size ratio 1:2, 2.4 times at 1:4."""
     for R, ratio in ((1.0, 1.0), (2.0, 1.27), (4.0, 2.44)):
-        both = [law(H, **LUBRICATION, R_i=1.0, R_j=R) for law in (dpd.squeezing_lubrication, dpd.unequal_lubrication)]
+        both = [
+            law(H, **LUBRICATION, R_i=1.0, R_j=R)
+            for law in (dpd.squeezing_lubrication, dpd.unequal_lubrication)
+        ]
         np.testing.assert_allclose(both[0] / both[1], ratio, atol=0.005)
     exact = dpd.unequal_lubrication(H, **LUBRICATION, R_i=0.6, R_j=1.7)
     np.testing.assert_allclose(exact, 6 * np.pi * 0.3 * (0.6 * 1.7 / 2.3) ** 2 / H, rtol=1e-13)
-    assert dpd.unequal_lubrication(-0.1, **LUBRICATION, **EQUAL) == pytest.approx(3 * np.pi * 0.3 / 2e-3)
+    assert dpd.unequal_lubrication(-0.1, **LUBRICATION, **EQUAL) == pytest.approx(
+        3 * np.pi * 0.3 / 2e-3
+    )
 
 
 COLD = ((0.01, 0.98), (0.1, 0.85), (0.5, 0.46))
@@ -163,7 +180,8 @@ def test_literal_drag_and_noise_end_in_overlap():
 
 @pytest.fixture(scope="module")
 def colloids():
-    """``colloids(fluid, h, speed=0, sizes=(1, 1))``: force on the first, away from the second, and sums over the pair."""
+    """``colloids(fluid, h, speed=0, sizes=(1, 1))``: force on the first, away from the second, and
+    sums over the pair."""
     box = boxes.box(SIDE)
     grid = plan_grid(2, box.lengths, 3.5, 0.1, sheared=False)
     start = jnp.array([[0.1, 1.0, 1.0], [SIDE - 1.9, 1.0, 1.0]])
@@ -192,7 +210,12 @@ def colloids():
 
 def alone(conservative=(), drag=(), random=None, kT=0.0):
     """A fluid of colloids of radius 1."""
-    return dpd.fluid(interactions=[dpd.interaction((0, 0), conservative, drag, random)], kT=kT, mass=12.57, radius=(1.0,))
+    return dpd.fluid(
+        interactions=[dpd.interaction((0, 0), conservative, drag, random)],
+        kT=kT,
+        mass=12.57,
+        radius=(1.0,),
+    )
 
 
 def lubricated(**how):
@@ -209,7 +232,9 @@ def test_approach_at_fixed_gap_is_resisted_by_lubrication(colloids):
 
 def test_lubrication_of_each_pair_of_sizes(colloids):
     exact = alone(drag=dpd.term(dpd.unequal_lubrication, **LUBRICATION, reach=1.0))
-    published, right = (colloids(fluid, [0.05], 1.0, (0.5, 1.0))[0] for fluid in (lubricated(), exact))
+    published, right = (
+        colloids(fluid, [0.05], 1.0, (0.5, 1.0))[0] for fluid in (lubricated(), exact)
+    )
     assert right == pytest.approx(-6 * np.pi * 0.3 * (0.5 / 1.5) ** 2 / 0.05)
     assert published / right == pytest.approx(1.266, abs=0.001)
 
@@ -242,7 +267,9 @@ def test_force_is_minus_the_slope_of_the_energy_for_spheres_of_any_size(colloids
     along = {name: np.asarray(tally.virial[name][:, 0, 0]) / (gaps + 2) for name in ATTRACTIONS}
     np.testing.assert_allclose(sum(along.values()), force, rtol=1e-12)
     R = {"R_i": 0.6, "R_j": 1.4}
-    depletion = jax.vmap(jax.grad(lambda h: -dpd.asakura_oosawa(h, phi_p=0.2, r_g=0.25, kT=0.3, **R)))(jnp.asarray(gaps))
+    depletion = jax.vmap(
+        jax.grad(lambda h: -dpd.asakura_oosawa(h, phi_p=0.2, r_g=0.25, kT=0.3, **R))
+    )(jnp.asarray(gaps))
     np.testing.assert_allclose(along["depletion"], np.where(gaps < 0.5, depletion, 0), rtol=1e-9)
     np.testing.assert_allclose(along["scaled"], along["contact"], rtol=1e-12)
 
@@ -268,7 +295,10 @@ def test_exact_noise_is_warm_and_literal_noise_cold(h, coldness, colloids):
     """The same random number, times the root of twice kT times a friction over dt."""
     numbers = dict(gamma=4.5, r_c=1.0, **LUBRICATION)
     drag, noise = dpd.term(dpd.literal_drag, **numbers), dpd.term(dpd.literal_noise, **numbers)
-    exact, literal = (colloids(alone(drag=drag, random=r, kT=0.1), [h])[1].virial["random"][0, 0, 0] for r in (None, noise))
+    exact, literal = (
+        colloids(alone(drag=drag, random=r, kT=0.1), [h])[1].virial["random"][0, 0, 0]
+        for r in (None, noise)
+    )
     assert float(literal / exact) ** 2 == pytest.approx(coldness, abs=0.005)
     zeta = 4.5 * (1 - h) ** 2 + 1.5 * np.pi * 0.3 / h
     assert 0 < abs(exact) <= (2 + h) * math.sqrt(3 * 2 * 0.1 * zeta / DT)

@@ -1,4 +1,5 @@
-"""Suspensions of spheres: configurations known by hand, all images tried by force, ideal gas, lattice, freud."""
+"""Suspensions of spheres: configurations known by hand, all images tried by force, ideal gas,
+lattice, freud."""
 
 import itertools
 from types import SimpleNamespace
@@ -37,7 +38,8 @@ def lattice_of(strain):
 
 
 def gaps_by_force(position, radius, strain):
-    """Surface gaps of all images up to two cells away, (n, n, images), and the images, (images, 3)."""
+    """Surface gaps of all images up to two cells away, (n, n, images), and the images, (images,
+    3)."""
     images = np.array(list(itertools.product((-2, -1, 0, 1, 2), repeat=3)))
     lattice = lattice_of(strain - SIDES[0] / SIDES[1] * np.round(strain * SIDES[1] / SIDES[0]))
     position = position @ np.linalg.inv(lattice) % 1 @ lattice
@@ -79,7 +81,9 @@ def test_gaps_are_those_of_all_images(strain):
     s = (radius[:, None] + radius[None, :])[np.triu_indices(60, 1)]
     ideal = [np.sum((s + b) ** 3 - (s + a) ** 3) for a, b in zip(edges, edges[1:])]
     expected = 4 / 3 * np.pi * np.array(ideal) / SIDES.prod()
-    assert np.allclose(pairs.g * expected, np.histogram(nearest_by_force(position, radius, strain), edges)[0])
+    assert np.allclose(
+        pairs.g * expected, np.histogram(nearest_by_force(position, radius, strain), edges)[0]
+    )
     assert np.allclose(pairs.h, 0.5 * (edges[1:] + edges[:-1]))
 
 
@@ -110,7 +114,10 @@ def test_ideal_gas_of_mixed_radii_has_no_structure():
 def test_members_with_their_own_radii():
     position, radius = thrown(2, 5, 40), np.stack([mixed_radii(40), mixed_radii(40, seed=1)])
     whole = pair_distribution(Spheres(position, radius, SIDES), bins=5, h_max=1.5)
-    members = [pair_distribution(Spheres(x, r, SIDES), bins=5, h_max=1.5).g for x, r in zip(position, radius)]
+    members = [
+        pair_distribution(Spheres(x, r, SIDES), bins=5, h_max=1.5).g
+        for x, r in zip(position, radius)
+    ]
     assert np.allclose(whole.g, np.mean(members, axis=0))
 
 
@@ -119,14 +126,21 @@ def test_unwrapped_positions_measure_the_same(strain):
     position = thrown(3, 40)
     shifts = np.random.default_rng(2).integers(-2, 3, position.shape) @ lattice_of(strain)
     inside, outside = (Spheres(x, 0.5, SIDES, strain) for x in (position, position + shifts))
-    assert np.array_equal(contact_number(inside, gap=0.4).series, contact_number(outside, gap=0.4).series)
+    assert np.array_equal(
+        contact_number(inside, gap=0.4).series, contact_number(outside, gap=0.4).series
+    )
     assert np.allclose(pair_distribution(inside, bins=5).g, pair_distribution(outside, bins=5).g)
-    assert np.array_equal(clusters(inside, gap=0.4).percolates, clusters(outside, gap=0.4).percolates)
+    assert np.array_equal(
+        clusters(inside, gap=0.4).percolates, clusters(outside, gap=0.4).percolates
+    )
 
 
 def test_strain_counts_modulo_the_box():
     position, period = thrown(3, 40), SIDES[0] / SIDES[1]
-    a, b = (clusters(Spheres(position, 0.5, SIDES, strain), gap=0.6) for strain in (0.3, 0.3 - 4 * period))
+    a, b = (
+        clusters(Spheres(position, 0.5, SIDES, strain), gap=0.6)
+        for strain in (0.3, 0.3 - 4 * period)
+    )
     assert np.array_equal(a.largest, b.largest) and np.array_equal(a.percolates, b.percolates)
 
 
@@ -143,7 +157,8 @@ def test_contacts_of_a_dimer_and_a_monomer():
 
 @pytest.mark.parametrize("shift, contacts", [(1.5, 1), (0.0, 0), (-1.5, 0)])
 def test_contacts_across_a_tilted_face(shift, contacts):
-    """The image above the lower sphere stands ``shift`` off along x: over the upper sphere, or not."""
+    """The image above the lower sphere stands ``shift`` off along x: over the upper sphere, or
+    not."""
     position = np.array([[1.0, 0.4, 1.0], [2.5, 6.4, 1.0]])
     assert contact_number(one_frame(position, strain=shift / 7), gap=0.01).mean.value == contacts
 
@@ -152,7 +167,9 @@ def test_contacts_across_a_tilted_face(shift, contacts):
 def test_contacts_are_those_of_all_images(strain):
     position, radius = thrown(6, 50), mixed_radii(50)
     contacts = contact_number(Spheres(position, radius, SIDES, strain), gap=0.5)
-    by_force = np.array([2 * np.sum(nearest_by_force(x, radius, strain) < 0.5) / 50 for x in position])
+    by_force = np.array(
+        [2 * np.sum(nearest_by_force(x, radius, strain) < 0.5) / 50 for x in position]
+    )
     assert np.allclose(contacts.series, by_force[None])
     assert contacts.share.sum() == pytest.approx(1)
     assert np.sum(contacts.z * contacts.share) == pytest.approx(contacts.mean.value)
@@ -161,7 +178,9 @@ def test_contacts_are_those_of_all_images(strain):
 
 def test_the_gap_of_a_fluid_with_a_range():
     """That of the attraction between the spheres, up to its reach; a Yukawa ``kappa`` is none."""
-    run = lambda **numbers: recorded(apart(0.1, 0.3), fluid=dpd.colloid_fluid(radius=0.5, **numbers))
+    run = lambda **numbers: recorded(
+        apart(0.1, 0.3), fluid=dpd.colloid_fluid(radius=0.5, **numbers)
+    )
     assert contact_number(run(kappa=15.0)).gap == pytest.approx(0.2)
     assert contact_number(run(kappa=15.0, r0=0.05)).gap == pytest.approx(0.25)
     assert contact_number(run(kappa=2.0)).gap == pytest.approx(1.0), "cut off at r_c"
@@ -214,7 +233,9 @@ def test_bragg_peak_of_a_simple_cubic_lattice():
 
 def test_whole_turns_of_the_box_are_no_tilt():
     position = thrown(20)
-    turned, straight = (structure_factor(one_frame(position, strain=strain), q_max=3.0) for strain in (12 / 7, 0.0))
+    turned, straight = (
+        structure_factor(one_frame(position, strain=strain), q_max=3.0) for strain in (12 / 7, 0.0)
+    )
     assert np.allclose(turned.s, straight.s)
 
 
@@ -222,7 +243,8 @@ def test_whole_turns_of_the_box_are_no_tilt():
 
 
 def test_a_bond_in_and_out_of_the_band():
-    """Gap 1: forms below 0.8, lives on in the band up to 1, breaks above, does not form in the band."""
+    """Gap 1: forms below 0.8, lives on in the band up to 1, breaks above, does not form in the
+    band."""
     tracked = bonds(one_frame(apart(0.9, 0.7, 0.9, 1.0, 0.95, 1.1, 0.9, 0.5)), gap=1.0)
     assert tracked.number.tolist() == [[0, 1, 1, 1, 1, 0, 0, 1]]
     assert tracked.formed.tolist() == [[0, 1, 0, 0, 0, 0, 0, 1]]
@@ -242,7 +264,13 @@ def wandering(frames=24, batch=2, n=40, seed=3):
     """Spheres that wander so that bonds come and go."""
     steps = 0.15 * np.random.default_rng(seed).normal(size=(batch, frames, n, 3))
     steps[:, 0] = thrown(batch, n, seed=seed)
-    return Spheres(np.cumsum(steps, axis=1), mixed_radii(n), SIDES, 0.1 * np.arange(frames), 0.5 * np.arange(frames))
+    return Spheres(
+        np.cumsum(steps, axis=1),
+        mixed_radii(n),
+        SIDES,
+        0.1 * np.arange(frames),
+        0.5 * np.arange(frames),
+    )
 
 
 def test_bonds_by_force():
@@ -260,7 +288,9 @@ def test_bonds_by_force():
     assert np.array_equal(tracked.broken[:, 1:], (there[:, :-1] & ~there[:, 1:]).sum((2, 3)))
     # Longest lag 4 frames: three stretches of 8 frames to a member, 4 origins each.
     origins = [8 * k + o for k in range(3) for o in range(4)]
-    survive = np.array([[np.all(there[:, o : o + lag + 1], axis=1).sum() for lag in range(5)] for o in origins])
+    survive = np.array(
+        [[np.all(there[:, o : o + lag + 1], axis=1).sum() for lag in range(5)] for o in origins]
+    )
     assert np.allclose(tracked.lag, 0.5 * np.arange(5))
     assert np.allclose(tracked.survival, survive.sum(0) / survive.sum(0)[0])
     assert np.all(tracked.error[1:] > 0) and tracked.error[0] == 0
@@ -290,7 +320,9 @@ def test_bonds_of_nothing():
 
 
 def test_sizes_of_chains():
-    position = np.concatenate([row(3, (1.05, 0, 0)), row(2, (0, 1.05, 0), (3, 3, 3)), row(1, (0, 0, 0), (5, 5, 6))])
+    position = np.concatenate(
+        [row(3, (1.05, 0, 0)), row(2, (0, 1.05, 0), (3, 3, 3)), row(1, (0, 0, 0), (5, 5, 6))]
+    )
     found = clusters(one_frame(position), gap=0.1)
     assert found.largest.tolist() == [[3]] and found.number.tolist() == [[3]]
     assert found.mean_size[0, 0] == pytest.approx((9 + 4 + 1) / 6)
@@ -312,7 +344,9 @@ def test_a_rod_along_y_percolates_where_it_meets_its_image():
     assert clusters(one_frame(upright), gap=0.1).percolates.tolist() == [[[False, True, False]]]
     assert not clusters(one_frame(upright, strain=0.3), gap=0.1).percolates.any()
     slanted = row(7, (0.3, 1, 0))
-    assert clusters(one_frame(slanted, strain=0.3), gap=0.1).percolates.tolist() == [[[False, True, False]]]
+    assert clusters(one_frame(slanted, strain=0.3), gap=0.1).percolates.tolist() == [
+        [[False, True, False]]
+    ]
     assert not clusters(one_frame(slanted), gap=0.1).percolates.any()
 
 
@@ -332,7 +366,8 @@ def test_a_ring_does_not_percolate():
 
 
 def percolates_by_force(touch, images):
-    """Walk over beads and cells up to three away: (3,) whether a bead is met again in a cell off along each axis."""
+    """Walk over beads and cells up to three away: (3,) whether a bead is met again in a cell off
+    along each axis."""
     winds = np.zeros(3, bool)
     steps = [[(j, images[k]) for j, k in np.argwhere(bead)] for bead in touch]
     for start in range(len(touch)):
@@ -390,7 +425,9 @@ def test_partial_distributions_by_force(strain):
 
 def test_one_species_has_the_whole_distribution():
     run = recorded(thrown(4, 40))
-    assert np.allclose(partial_distribution(run, 1, 1, bins=10).g, radial_distribution(run, bins=10).g)
+    assert np.allclose(
+        partial_distribution(run, 1, 1, bins=10).g, radial_distribution(run, bins=10).g
+    )
 
 
 # Runs.
@@ -399,7 +436,10 @@ def test_one_species_has_the_whole_distribution():
 def recorded(position, fluid=None, strain=None, flow=None, size=None):
     """What a run would leave behind of beads of species 1, radius 0.5."""
     n, frames = position.shape[-2], position.shape[-3]
-    records = {"position": position, "time": np.broadcast_to(0.5 * np.arange(frames), position.shape[:-2])}
+    records = {
+        "position": position,
+        "time": np.broadcast_to(0.5 * np.arange(frames), position.shape[:-2]),
+    }
     return SimpleNamespace(
         frames=records if strain is None else records | {"strain": strain},
         flow=quiet() if flow is None else flow,
@@ -408,7 +448,8 @@ def recorded(position, fluid=None, strain=None, flow=None, size=None):
             species=np.ones(n, int),
             size=np.ones(n) if size is None else size,
         ),
-        fluid=fluid or SimpleNamespace(radius=(None, 0.5), interactions=(), batch_axes=lambda: None),
+        fluid=fluid
+        or SimpleNamespace(radius=(None, 0.5), interactions=(), batch_axes=lambda: None),
         interval=0.5,
     )
 
@@ -440,9 +481,15 @@ def test_a_run_is_measured_like_its_spheres():
     run = two_species(frames=4)
     for measure in (contact_number, bonds, clusters):
         a, b = measure(run, gap=0.5), measure(spheres(run), gap=0.5)
-        assert all(np.array_equal(x, y, equal_nan=True) for x, y in zip(vars(a).values(), vars(b).values()) if np.ndim(x))
+        assert all(
+            np.array_equal(x, y, equal_nan=True)
+            for x, y in zip(vars(a).values(), vars(b).values())
+            if np.ndim(x)
+        )
     assert np.array_equal(pair_distribution(run).g, pair_distribution(spheres(run)).g)
-    assert np.array_equal(structure_factor(run, q_max=3).s, structure_factor(spheres(run), q_max=3).s)
+    assert np.array_equal(
+        structure_factor(run, q_max=3).s, structure_factor(spheres(run), q_max=3).s
+    )
 
 
 def whole(fluid, state):
@@ -451,18 +498,31 @@ def whole(fluid, state):
 
 @pytest.mark.parametrize("rate", [0.0, 1.0])
 def test_recording_one_species(simulate, key, rate):
-    numbers = [dpd.term(dpd.soft_repulsion, a=5.0, r_c=0.8)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=0.8)]
+    numbers = (
+        [dpd.term(dpd.soft_repulsion, a=5.0, r_c=0.8)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=0.8)],
+    )
     among = [dpd.interaction(groups, *numbers) for groups in ((0, 0), (0, 1), (1, 1))]
     mixture = dpd.fluid(interactions=among, kT=1.0, radius=(None, 0.3))
     state = dpd.initial_state(mixture, key, box=3.6, n=(60, 12), dt=0.01, skin=0.15)
-    run = simulate(mixture, state, key, 0.01, dpd.Plan(6, 5), dpd.shear(rate), observe=(dpd.positions_of(1), whole))
+    run = simulate(
+        mixture,
+        state,
+        key,
+        0.01,
+        dpd.Plan(6, 5),
+        dpd.shear(rate),
+        observe=(dpd.positions_of(1), whole),
+    )
     assert run.final.status == 0
     for name in ("position", "unwrapped", "velocity"):
         assert np.array_equal(run.frames[name], run.frames[f"whole_{name}"][:, 60:])
     strain = (0.05 * rate * np.arange(1, 7) + 0.5) % 1 - 0.5
     by_hand = Spheres(run.frames["position"], 0.3, 3.6, strain)
     assert np.allclose(spheres(run).strain, strain)
-    assert np.array_equal(contact_number(run, gap=0.4).series, contact_number(by_hand, gap=0.4).series)
+    assert np.array_equal(
+        contact_number(run, gap=0.4).series, contact_number(by_hand, gap=0.4).series
+    )
     if rate == 0:
         assert np.all(dpd.mean_squared_displacement(run, species=1, t_max=0.1).value[1:] > 0)
 
@@ -470,7 +530,9 @@ def test_recording_one_species(simulate, key, rate):
 def test_recording_a_species_that_is_no_group(key):
     fluid = dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0)], kT=1.0, species=2)
     state = dpd.initial_state(fluid, key, box=3.0, density=1.0)
-    with pytest.raises(ValueError, match=r"species 1 is no group.* are \(0, 1\); .*dpd.interaction\(\(1, 1\)"):
+    with pytest.raises(
+        ValueError, match=r"species 1 is no group.* are \(0, 1\); .*dpd.interaction\(\(1, 1\)"
+    ):
         dpd.positions_of(1)(fluid, state)
     assert dpd.positions_of(1) is dpd.positions_of(1)
 
@@ -489,13 +551,22 @@ def spoiled(**changes):
 @pytest.mark.parametrize(
     "run, message",
     [
-        (spoiled(frames={"temperature": np.ones(3)}), "no 'position' but temperature; use observe=dpd.positions"),
+        (
+            spoiled(frames={"temperature": np.ones(3)}),
+            "no 'position' but temperature; use observe=dpd.positions",
+        ),
         (spoiled(flow=dpd.shear(0.1)), "sheared, and the tilt of the box.*record it too"),
         (spoiled(final__species=np.zeros(50, int)), "no bead is of species 1"),
         (spoiled(fluid__radius=(None, None)), "this fluid has no spheres.*give one"),
         (spoiled(fluid__radius=(0.5, 0.5)), "species 0, 1 are spheres; name one"),
-        (spoiled(frames={"position": thrown(3, 7), "time": np.arange(3)}), "7 of its 50 beads, not the 20 to be measured"),
-        (spoiled(final__box__lengths=np.stack([SIDES, 2 * SIDES])), r"different boxes; .*members\(\)"),
+        (
+            spoiled(frames={"position": thrown(3, 7), "time": np.arange(3)}),
+            "7 of its 50 beads, not the 20 to be measured",
+        ),
+        (
+            spoiled(final__box__lengths=np.stack([SIDES, 2 * SIDES])),
+            r"different boxes; .*members\(\)",
+        ),
     ],
 )
 def test_wrong_runs(run, message):
@@ -511,7 +582,9 @@ def test_a_species_that_is_no_sphere():
 
 def test_wrong_partial_runs():
     with pytest.raises(ValueError, match="20 of its 50 beads"):
-        partial_distribution(spoiled(frames={"position": thrown(3, 20), "time": np.arange(3)}), 0, 1)
+        partial_distribution(
+            spoiled(frames={"position": thrown(3, 20), "time": np.arange(3)}), 0, 1
+        )
     with pytest.raises(ValueError, match="no bead is of species 3"):
         partial_distribution(two_species(), 0, 3)
     with pytest.raises(ValueError, match="one bead of species 1 has no pairs"):
@@ -524,7 +597,10 @@ def test_wrong_partial_runs():
     "changes, message",
     [
         ({"radius": -0.5}, "radius is -0.5; it must be above zero"),
-        ({"radius": np.ones(3)}, r"radius has shape \(3,\); \(1, 2, 4\)|radius has shape \(3,\); \(1, 4\)"),
+        (
+            {"radius": np.ones(3)},
+            r"radius has shape \(3,\); \(1, 2, 4\)|radius has shape \(3,\); \(1, 4\)",
+        ),
         ({"lengths": 0.0}, "lengths is 0"),
         ({"strain": np.zeros(3)}, r"strain has shape \(3,\); \(1, 2\)"),
         ({"strain": np.nan}, "strain is nan; it must be finite"),
@@ -547,7 +623,11 @@ def test_wrong_spheres(changes, message):
         (pair_distribution, {"h_min": -1.5}, "h_min is -1.5; it must be at least -1"),
         (pair_distribution, {"bins": 0}, "bins is 0"),
         (contact_number, {"gap": -0.1}, "gap is -0.1; it must be above zero"),
-        (contact_number, {"gap": 2.1}, "gap is 2.1.*touch 3.1 apart.*half the shortest side, 3; take a smaller gap"),
+        (
+            contact_number,
+            {"gap": 2.1},
+            "gap is 2.1.*touch 3.1 apart.*half the shortest side, 3; take a smaller gap",
+        ),
         (clusters, {"gap": 2.1}, "gap is 2.1"),
         (structure_factor, {"q_max": 0.5}, "q_max is 0.5.*smallest wave vector of the box, 0.785"),
         (structure_factor, {"bins": 2.5}, "bins is 2.5"),
@@ -581,8 +661,11 @@ def test_results_draw_themselves():
     pytest.importorskip("matplotlib").use("Agg")
     gas = Spheres(thrown(2, 6, 20), 0.5, SIDES)
     results = [
-        pair_distribution(gas, bins=5), contact_number(gas, gap=0.5), structure_factor(gas, q_max=3.0, bins=5),
-        bonds(gas, gap=0.5), clusters(gas, gap=0.5),
+        pair_distribution(gas, bins=5),
+        contact_number(gas, gap=0.5),
+        structure_factor(gas, q_max=3.0, bins=5),
+        bonds(gas, gap=0.5),
+        clusters(gas, gap=0.5),
     ]
     labels = ["g(h)", "P(z)", "S(q)", "share of bonds that survive", "largest cluster"]
     for result, label in zip(results, labels):
@@ -620,7 +703,11 @@ def test_freud_finds_the_same_contacts_and_clusters(gas):
     freud = pytest.importorskip("freud")
     contacts, found = contact_number(gas, gap=0.2), clusters(gas, gap=0.2)
     for k, (box, points) in enumerate(freud_systems(freud, gas)):
-        pairs = freud.locality.AABBQuery(box, points).query(points, {"r_max": 0.8, "exclude_ii": True}).toNeighborList()
+        pairs = (
+            freud.locality.AABBQuery(box, points)
+            .query(points, {"r_max": 0.8, "exclude_ii": True})
+            .toNeighborList()
+        )
         assert contacts.series[0, k] == pytest.approx(len(pairs) / 300)
         cluster = freud.cluster.Cluster().compute((box, points), neighbors=pairs)
         sizes = np.bincount(cluster.cluster_idx)
@@ -629,11 +716,14 @@ def test_freud_finds_the_same_contacts_and_clusters(gas):
 
 
 def test_freud_has_the_same_structure_factor():
-    """Freud takes only wave vectors without a negative component: mirrored positions, and one octet to a shell."""
+    """Freud takes only wave vectors without a negative component: mirrored positions, and one octet
+    to a shell."""
     freud = pytest.importorskip("freud")
     mirrors = np.array([(1, y, z) for y in (1, -1) for z in (1, -1)])
     position = (thrown(2, 15, seed=9)[:, :, None, :] * mirrors).reshape(2, 60, 3)
-    other = freud.diffraction.StaticStructureFactorDirect(bins=1000, k_max=3.1, num_sampled_k_points=0)
+    other = freud.diffraction.StaticStructureFactorDirect(
+        bins=1000, k_max=3.1, num_sampled_k_points=0
+    )
     box = freud.box.Box(*SIDES)
     for k, x in enumerate(position):
         other.compute((box, box.wrap(x)), reset=k == 0)
@@ -659,7 +749,10 @@ def test_density_of_the_solvent_between_colloids(strain, unit):
     box = boxes.Box(unit * box.lengths, strain)
     species = np.repeat([0, 1], [clear.sum(), 2])
     state = SimpleNamespace(position=position, species=species, size=np.ones(len(species)), box=box)
-    among = [dpd.interaction(pair, dpd.term(dpd.soft_repulsion, a=0.0, r_c=unit)) for pair in ((0, 0), (0, 1))]
+    among = [
+        dpd.interaction(pair, dpd.term(dpd.soft_repulsion, a=0.0, r_c=unit))
+        for pair in ((0, 0), (0, 1))
+    ]
     fluid = dpd.fluid(kT=1.0, radius=(None, unit), interactions=among)
     measured = dpd.solvent_density(fluid, state, points=4000) * unit**3
     assert abs(measured - 2.0) < 4 * 2.0 / np.sqrt(2 * side**3)

@@ -44,7 +44,14 @@ def two_species(sheared_water):
 def test_other_numbers_keys_and_states_do_not_recompile(simulate, water, fresh, sheared_water, key):
     simulate(water, sheared_water, key, 0.01, PLAN, dpd.shear(1.0))
     compiled = simulate._cache_size()
-    run = simulate(water.set(gamma=9.0, a=15.0, kT=0.5, mass=2.0), fresh, jax.random.key(1), 0.005, PLAN, dpd.shear(0.3))
+    run = simulate(
+        water.set(gamma=9.0, a=15.0, kT=0.5, mass=2.0),
+        fresh,
+        jax.random.key(1),
+        0.005,
+        PLAN,
+        dpd.shear(0.3),
+    )
     simulate(water, run.final, key, 0.01, PLAN, dpd.shear(1.0))
     simulate(water, run.final.restarted(), key, 0.01, dpd.Plan(frames=3, every=7), dpd.shear(1.0))
     assert simulate._cache_size() == compiled
@@ -52,12 +59,16 @@ def test_other_numbers_keys_and_states_do_not_recompile(simulate, water, fresh, 
     assert simulate._cache_size() == compiled + 1, "another shape is another program"
 
 
-def test_mixture_of_equal_species_is_one_fluid(simulate, mixture, water, sheared_water, two_species, key):
+def test_mixture_of_equal_species_is_one_fluid(
+    simulate, mixture, water, sheared_water, two_species, key
+):
     same = mixture(np.full((2, 2), 25.0), np.full((2, 2), 4.5))
     two = simulate(same, two_species, key, 0.01, PLAN, dpd.shear(1.0))
     one = simulate(water, sheared_water.restarted(), key, 0.01, PLAN, dpd.shear(1.0))
     np.testing.assert_allclose(two.final.velocity, one.final.velocity, atol=1e-11)
-    np.testing.assert_allclose(two.frames["pressure_tensor"], one.frames["pressure_tensor"], atol=1e-9)
+    np.testing.assert_allclose(
+        two.frames["pressure_tensor"], one.frames["pressure_tensor"], atol=1e-9
+    )
 
 
 def test_mixtures_share_one_program(simulate, mixture, two_species, key):
@@ -76,7 +87,8 @@ def observed(fluid, state):
 
 
 def test_a_run_in_many_pieces_is_one_program(water, fresh, key, monkeypatch):
-    """The last piece, a shorter one, was compiled on its own: 7 s twice for 30,000 steps of a small box."""
+    """The last piece, a shorter one, was compiled on its own: 7 s twice for 30,000 steps of a small
+    box."""
     monkeypatch.setattr(host_run, "CHUNK", 150 * 20 * fresh.n)
     monkeypatch.setattr(host_run, "LEAST", 150 * 20)
     before = chunk._compiled._cache_size()
@@ -112,9 +124,21 @@ def test_a_function_made_anew_is_told(water, fresh, key):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for _ in range(3):
-            dpd.run(water, fresh, key, 0.01, dpd.Plan(2, 5), observe=lambda fluid, state: {"n": state.time}, progress=False)
+            dpd.run(
+                water,
+                fresh,
+                key,
+                0.01,
+                dpd.Plan(2, 5),
+                observe=lambda fluid, state: {"n": state.time},
+                progress=False,
+            )
     told = [str(w.message) for w in caught if "anew" in str(w.message)]
-    assert len(told) == 1 and "<lambda> is made anew each time" in told[0] and "define it once" in told[0]
+    assert (
+        len(told) == 1
+        and "<lambda> is made anew each time" in told[0]
+        and "define it once" in told[0]
+    )
 
 
 def test_programs_inside_programs_count_once():
@@ -129,7 +153,9 @@ def test_slopes_in_several_parameters_are_one_program(water, fresh, key):
     state = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), fresh)
     goal = viscosity_goal(0.85, 0.3)
     told = []
-    bench = experiment.Bench(water, goal, 3.0, state, jax.random.split(key, 2), 0.01, report=told.append)
+    bench = experiment.Bench(
+        water, goal, 3.0, state, jax.random.split(key, 2), 0.01, report=told.append
+    )
     before = experiment._tangent._cache_size()
     for k in (0, 1):
         both = experiment.window_tangents(bench, water, ("gamma", "a"), k, 0.01, dpd.Plan(2, 3))
@@ -143,7 +169,8 @@ import dpdjax as dpd
 folder = dpd.compilation_cache({folder!r})
 import jax
 from dpdjax.engine import compiling
-fluid = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
+repulsion = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)
+fluid = dpd.fluid([repulsion], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
 state = dpd.initial_state(fluid, jax.random.key(0), box=4.2, density=3.0)
 events = []
 jax.monitoring.register_event_listener(lambda event, **_: events.append(event))
@@ -153,11 +180,17 @@ print(repr(run.frames["potential_energy"].tolist()), sum("cache_hits" in event f
 
 
 def test_programs_kept_on_disk_are_found_and_give_the_same_numbers(tmp_path):
-    """In silence: on a CPU jax logs a page of its processor's features for every program that it reads back."""
+    """In silence: on a CPU jax logs a page of its processor's features for every program that it
+    reads back."""
     code = KEPT.format(folder=str(tmp_path))
-    clean = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "TF_"))}
+    clean = {
+        name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "TF_"))
+    }
     first, second = (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=clean) for _ in range(2)
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=clean
+        )
+        for _ in range(2)
     )
     numbers, hits = zip(*(run.stdout.rsplit(" ", 1) for run in (first, second)))
     assert numbers[0] == numbers[1]

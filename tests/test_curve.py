@@ -23,7 +23,11 @@ def search(seed, target, sign, x, bias=1.0, points=10):
         proposal = propose(measured, target, sign)
         x = proposal.x
         answer = proposal.curve.at(x)
-        if proposal.why == "root" and min(abs(p.x - x) for p in measured) < 0.1 and answer.error <= wanted:
+        if (
+            proposal.why == "root"
+            and min(abs(p.x - x) for p in measured) < 0.1
+            and answer.error <= wanted
+        ):
             return x, answer.error / abs(proposal.curve.slope(x)), measured
     raise AssertionError(f"no root after {points} points, last proposal {proposal}")
 
@@ -43,7 +47,10 @@ def test_search_ends_at_the_root(target, sign, start):
         assert FLUID.slope(x) * sign > 0
 
 
-@pytest.mark.parametrize("target, sign, start", [(1.5, UPPER, 3.0), (1.2, UPPER, 2.5), (1.5, LOWER, 0.5), (1.5, LOWER, 3.0)])
+@pytest.mark.parametrize(
+    "target, sign, start",
+    [(1.5, UPPER, 3.0), (1.2, UPPER, 2.5), (1.5, LOWER, 0.5), (1.5, LOWER, 3.0)],
+)
 def test_error_bars_cover_the_root(target, sign, start):
     answers = [search(seed, target, sign, start) for seed in range(200)]
     deviations = np.array([(x - FLUID.root(target, sign)) / error for x, error, _ in answers])
@@ -52,7 +59,9 @@ def test_error_bars_cover_the_root(target, sign, start):
 
 
 @pytest.mark.parametrize("bias", [0.7, 1.3])
-@pytest.mark.parametrize("target, sign, start", [(1.5, UPPER, 3.0), (1.2, UPPER, 2.5), (1.5, LOWER, 0.5)])
+@pytest.mark.parametrize(
+    "target, sign, start", [(1.5, UPPER, 3.0), (1.2, UPPER, 2.5), (1.5, LOWER, 0.5)]
+)
 def test_biased_slopes_lead_to_the_same_root(target, sign, start, bias):
     found = np.array([search(seed, target, sign, start, bias)[0] for seed in range(100)])
     excess = FLUID.value(found) - target
@@ -68,17 +77,26 @@ def test_target_below_everything_leads_to_the_minimum(sign, start):
         for _ in range(8):
             measured.append(sample(rng, x, 0.01))
             proposal = propose(measured, target, sign)
-            x, found = proposal.x, [*found, proposal.why == "minimum" and abs(proposal.x - FLUID.lowest) < 0.35]
+            x, found = (
+                proposal.x,
+                [*found, proposal.why == "minimum" and abs(proposal.x - FLUID.lowest) < 0.35],
+            )
         assert all(found[-3:])
         assert proposal.curve.at(x).deviation(FLUID.value(FLUID.lowest)) < 4
 
 
 def exact(x, value=None):
-    return Point(x, Estimate(FLUID.value(x) if value is None else value, 1e-6), Estimate(FLUID.slope(x), 1e-6))
+    return Point(
+        x,
+        Estimate(FLUID.value(x) if value is None else value, 1e-6),
+        Estimate(FLUID.slope(x), 1e-6),
+    )
 
 
 def test_one_point_is_followed_half_a_unit_at_most():
-    assert propose([exact(3.0)], FLUID.value(3.0) + 0.8 * FLUID.slope(3.0), UPPER).x == pytest.approx(3.5)
+    assert propose(
+        [exact(3.0)], FLUID.value(3.0) + 0.8 * FLUID.slope(3.0), UPPER
+    ).x == pytest.approx(3.5)
     near = propose([exact(3.0)], FLUID.value(3.0) + 0.05, UPPER)
     assert near.x == pytest.approx(3.0 + 0.05 / FLUID.slope(3.0), abs=1e-3)
 
@@ -115,9 +133,18 @@ def test_roots_and_minimum_of_a_parabola():
 
 
 def test_search_stays_inside_a_bracket_of_the_minimum():
-    """Noisy values with a steep far point, whose polynomial has no minimum between the slopes' change of sign."""
-    at = lambda gamma, value, slope: Point(math.log(gamma), Estimate(value, 0.06), Estimate(slope, 0.1))
-    points = [at(8.4, 0.95, 0.2), at(4.1, 0.84, 0.1), at(2.1, 0.83, 0.05), at(1.0, 0.5, -0.2), at(3.0, 0.82, 0.1)]
+    """Noisy values with a steep far point, whose polynomial has no minimum between the slopes'
+    change of sign."""
+    at = lambda gamma, value, slope: Point(
+        math.log(gamma), Estimate(value, 0.06), Estimate(slope, 0.1)
+    )
+    points = [
+        at(8.4, 0.95, 0.2),
+        at(4.1, 0.84, 0.1),
+        at(2.1, 0.83, 0.05),
+        at(1.0, 0.5, -0.2),
+        at(3.0, 0.82, 0.1),
+    ]
     for count in (4, 5):
         proposal = propose(points[:count], 0.3, UPPER)
         assert math.log(1.0) <= proposal.x <= math.log(2.1)

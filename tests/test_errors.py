@@ -21,20 +21,25 @@ def drag(**coefficients):
 
 def refused(kind, *parts):
     """Expect an error of one line that has every part in it."""
-    return pytest.raises(kind, check=lambda e: "\n" not in str(e) and all(p in str(e) for p in parts))
+    return pytest.raises(
+        kind, check=lambda e: "\n" not in str(e) and all(p in str(e) for p in parts)
+    )
 
 
 PLAN = dpd.Plan(1)
 
 
-@pytest.mark.parametrize("make", [lambda water: dpd.fluid([repulsion()], kT=-1.0), lambda water: water.set(kT=-1.0)])
+@pytest.mark.parametrize(
+    "make", [lambda water: dpd.fluid([repulsion()], kT=-1.0), lambda water: water.set(kT=-1.0)]
+)
 def test_negative_temperature(make, water):
     with refused(ValueError, "kT is -1.0", "must not be negative"):
         make(water)
 
 
 @pytest.mark.parametrize(
-    "make", [lambda water: dpd.fluid(drag=[drag(gamma=-2.0)], kT=1.0), lambda water: water.set(gamma=-2.0)]
+    "make",
+    [lambda water: dpd.fluid(drag=[drag(gamma=-2.0)], kT=1.0), lambda water: water.set(gamma=-2.0)],
 )
 def test_negative_drag(make, water):
     with refused(ValueError, "gamma is -2.0", "must not be negative"):
@@ -127,10 +132,17 @@ def test_dt_too_large_for_the_drag(water, fresh, key):
 
 
 def test_dt_too_large_for_the_repulsion(water, fresh, key):
-    with refused(ValueError, "dt 0.1 is too large for the conservative force", "which allows 0.071", "use dt = 0.0068"):
+    with refused(
+        ValueError,
+        "dt 0.1 is too large for the conservative force",
+        "which allows 0.071",
+        "use dt = 0.0068",
+    ):
         dpd.simulate(water, fresh, key, 0.1, PLAN)
     singular = dpd.fluid([dpd.term(lambda h, *, q: q / h, q=1.0, reach=1.0)], [drag()], kT=1.0)
-    assert 1 < pair_frequency(singular, singular.interactions[0]) < 30, "only distances that beads reach count"
+    assert 1 < pair_frequency(singular, singular.interactions[0]) < 30, (
+        "only distances that beads reach count"
+    )
 
 
 def test_body_force_that_jumps_at_the_faces(water, fresh, key):
@@ -145,12 +157,16 @@ def test_body_force_that_jumps_at_the_faces(water, fresh, key):
 
 def along_x(profile):
     """A body force along x from a profile of (position, time)."""
-    return lambda position, time, **numbers: profile(position, time)[:, None] * jnp.array([[1.0, 0.0, 0.0]])
+    return lambda position, time, **numbers: (
+        profile(position, time)[:, None] * jnp.array([[1.0, 0.0, 0.0]])
+    )
 
 
 def test_body_forces_are_judged_inside_the_box(water, fresh):
     side = float(fresh.box.lengths[1])
-    check = lambda profile, state=fresh, **how: dpd.body_force(along_x(profile), **how).check(water, state)
+    check = lambda profile, state=fresh, **how: dpd.body_force(along_x(profile), **how).check(
+        water, state
+    )
     for axis in range(3):
         check(lambda x, t: x[:, axis] * (side - x[:, axis]))
         with refused(ValueError, f"not periodic along {'xyz'[axis]}", "jumps=True"):
@@ -234,7 +250,9 @@ def test_names_that_are_recorded_twice(water, fresh, key):
     def clock(fluid, state):
         return {"time": 0.0}
 
-    record = lambda *observe: jax.eval_shape(lambda s: dpd.simulate(water, s, key, 0.01, PLAN, observe=observe), fresh)
+    record = lambda *observe: jax.eval_shape(
+        lambda s: dpd.simulate(water, s, key, 0.01, PLAN, observe=observe), fresh
+    )
     with refused(ValueError, "'temperature' is recorded by standard and by temperature"):
         record(dpd.standard, temperature)
     with refused(ValueError, "'momentum' is recorded by momentum and by mean(momentum)"):
@@ -248,7 +266,11 @@ def test_names_that_are_recorded_twice(water, fresh, key):
 
 
 def test_names_that_are_not_there():
-    names = {"rdf": "dpd.radial_distribution", "msd": "dpd.mean_squared_displacement", "shear_visc": "dpd.shear_viscosity"}
+    names = {
+        "rdf": "dpd.radial_distribution",
+        "msd": "dpd.mean_squared_displacement",
+        "shear_visc": "dpd.shear_viscosity",
+    }
     for name, near in names.items():
         with pytest.raises(AttributeError, match=near):
             getattr(dpd, name)
@@ -266,7 +288,10 @@ def test_dt_too_large_for_the_lightest_beads(fresh, key):
         dpd.simulate(dpd.fluid(drag=[drag()], kT=1.0, mass=[1.0, 1000.0]), fresh, key, 0.5, PLAN)
 
 
-@pytest.mark.parametrize("wrong, parts", [(None, ["no key", "jax.random.key(0)"]), (3, ["integer 3", "jax.random.key(3)"])])
+@pytest.mark.parametrize(
+    "wrong, parts",
+    [(None, ["no key", "jax.random.key(0)"]), (3, ["integer 3", "jax.random.key(3)"])],
+)
 def test_missing_or_integer_key(wrong, parts, water, fresh):
     with refused(TypeError, *parts):
         dpd.simulate(water, fresh, wrong, 0.01, PLAN)
@@ -274,7 +299,9 @@ def test_missing_or_integer_key(wrong, parts, water, fresh):
         dpd.initial_state(water, wrong, box=4.2, density=3.0)
 
 
-@pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "3", "ten", None, float("nan"), float("inf")], ids=str)
+@pytest.mark.parametrize(
+    "wrong", [0, -1, 1.5, True, "3", "ten", None, float("nan"), float("inf")], ids=str
+)
 def test_bad_plan(wrong):
     with refused(ValueError, f"Plan frames is {wrong!r}", "whole number of at least 1"):
         dpd.Plan(frames=wrong)
@@ -286,7 +313,12 @@ def test_more_steps_than_are_counted(water, fresh, key):
     """Step numbers key the noise and are 32 bits wide: they would go on from -2147483648."""
     late = dataclasses.replace(fresh, step=jnp.asarray(2**31 - 5, jnp.int32))
     for door in (dpd.simulate, dpd.run):
-        with refused(ValueError, "would end at step 2147483653", "counted up to 2147483647", "start the count anew"):
+        with refused(
+            ValueError,
+            "would end at step 2147483653",
+            "counted up to 2147483647",
+            "start the count anew",
+        ):
             door(water, late, key, 0.01, dpd.Plan(1, 10))
 
 
@@ -303,14 +335,19 @@ def test_arguments_of_the_wrong_kind(water, fresh, key):
 
 def test_wrong_shapes(water, fresh, key):
     with refused(ValueError, "(222, 3)", "(5, 3)", "(beads, 3)"):
-        dpd.simulate(water, dataclasses.replace(fresh, velocity=fresh.velocity[:5]), key, 0.01, PLAN)
+        dpd.simulate(
+            water, dataclasses.replace(fresh, velocity=fresh.velocity[:5]), key, 0.01, PLAN
+        )
     with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
         dpd.simulate(water.set(gamma=jnp.ones(3)), fresh, key, 0.01, PLAN)
     with refused(ValueError, "a batch", "jax.vmap", "dpd.run"):
         dpd.simulate(water, fresh, key, jnp.array([0.01, 0.02]), PLAN)
 
 
-@pytest.mark.parametrize("wrong", [lambda fluid, state: state, lambda fluid, state: None, lambda fluid, state: {"x": fluid}])
+@pytest.mark.parametrize(
+    "wrong",
+    [lambda fluid, state: state, lambda fluid, state: None, lambda fluid, state: {"x": fluid}],
+)
 def test_observables_that_record_nothing(water, fresh, key, wrong):
     """They were recorded as nothing at all, without a word."""
     for door in (dpd.simulate, dpd.run):
@@ -319,15 +356,23 @@ def test_observables_that_record_nothing(water, fresh, key, wrong):
 
 
 def test_laws_in_the_other_place():
-    with refused(ValueError, "central_drag is a friction and was given as a potential", "drag=[...]"):
+    with refused(
+        ValueError, "central_drag is a friction and was given as a potential", "drag=[...]"
+    ):
         dpd.fluid([drag()], kT=1.0)
-    with refused(ValueError, "soft_repulsion is a potential and was given as a friction", "conservative=[...]"):
+    with refused(
+        ValueError,
+        "soft_repulsion is a potential and was given as a friction",
+        "conservative=[...]",
+    ):
         dpd.interaction((0, 0), drag=[repulsion()])
     with refused(ValueError, "soft_repulsion is a potential", "conservative=[...]"):
         dpd.interaction((0, 0), drag=[drag()], random=[repulsion()])
 
 
-@pytest.mark.parametrize("declare", [dpd.bounded(gama="positive"), dpd.proportional_to("gama"), dpd.of_viscosity("gama")])
+@pytest.mark.parametrize(
+    "declare", [dpd.bounded(gama="positive"), dpd.proportional_to("gama"), dpd.of_viscosity("gama")]
+)
 def test_declarations_of_what_a_law_does_not_take(declare):
     @declare
     def law(h, *, gamma, r_c):
@@ -339,15 +384,21 @@ def test_declarations_of_what_a_law_does_not_take(declare):
 
 def test_a_step_too_long_for_one_member_names_it(water, fresh, key):
     keys = jax.random.split(key, 3)
-    with refused(ValueError, "member 2 (gamma = 10000.): dt 0.01 is too large for the drag", "use dt = 3e-06"):
-        dpd.run(water.set(gamma=jnp.array([2.0, 4.5, 1e4])), fresh, keys, 0.01, PLAN, progress=False)
+    with refused(
+        ValueError, "member 2 (gamma = 10000.): dt 0.01 is too large for the drag", "use dt = 3e-06"
+    ):
+        dpd.run(
+            water.set(gamma=jnp.array([2.0, 4.5, 1e4])), fresh, keys, 0.01, PLAN, progress=False
+        )
     with refused(ValueError, "member 1 (dt = 1.): dt 1 is too large"):
         dpd.run(water, fresh, keys, jnp.array([0.01, 1.0, 0.01]), PLAN, progress=False)
 
 
 def test_positions_that_leave_most_of_the_box_empty_are_told(fresh):
     side = float(fresh.box.lengths[0])
-    with pytest.warns(UserWarning, match="the positions span .* of a box of .* give the box they are in"):
+    with pytest.warns(
+        UserWarning, match="the positions span .* of a box of .* give the box they are in"
+    ):
         dpd.radial_distribution(fresh.position, box=2 * side)
 
 

@@ -1,6 +1,8 @@
-"""Every public measure given every kind of run: the right number, or a refusal that says what to give.
+"""Every public measure given every kind of run: the right number, or a refusal that says what to
+give.
 
-The runs are made up of random walks and noise whose viscosity, moduli, diffusion and structure are known; see ``runs.py``.
+The runs are made up of random walks and noise whose viscosity, moduli, diffusion and structure are
+known; see ``runs.py``.
 """
 
 import dataclasses
@@ -19,12 +21,14 @@ from dpdjax.measure.structure import average
 ERRORS = 4.5
 """How many of its errors an estimate may be off."""
 ROUGH = 0.3
-"""Share by which one of six frames may be off: they are all but the same configuration, and no error bar tells that."""
+"""Share by which one of six frames may be off: they are all but the same configuration, and no
+error bar tells that."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A measure, its right answer, the flows it works under, what it says under others, and whether a start-up changes it."""
+    """A measure, its right answer, the flows it works under, what it says under others, and
+    whether a start-up changes it."""
 
     measure: Callable
     due: float
@@ -39,13 +43,15 @@ FIT = (1.0, 1.5)
 AT_ONCE = 6 / runs.INTERVAL * np.tanh(0.5 * runs.INTERVAL / runs.MOTION)
 """Mean square of a velocity over its diffusion coefficient."""
 HEAD_START = runs.INTERVAL / np.sinh(runs.INTERVAL / runs.MOTION) * (1 - np.exp(-1.0 / runs.MOTION))
-"""By how much the mean square displacement over a time of 1 lags behind that of a random walk, as a time."""
+"""By how much the mean square displacement over a time of 1 lags behind that of a random walk,
+as a time."""
 WITHOUT_DRIFT = DIFFUSION * (1 - 1 / (runs.POINTS + runs.SPHERES))
 """Of beads relative to their centre of mass."""
 CONTACTS = (runs.SPHERES - 1) * 4 / 3 * np.pi * (2 * runs.RADIUS + 0.5) ** 3 / runs.VOLUME
 """Of a sphere with gaps below 0.5 to others thrown at random."""
 CLUSTER = 2.312
-"""Mean size of the cluster of a sphere with gaps below 0.01, of 4,000 frames thrown at random: 2.312(11)."""
+"""Mean size of the cluster of a sphere with gaps below 0.01, of 4,000 frames thrown at random:
+2.312(11)."""
 
 
 def curve_at(curve, lag, scale):
@@ -54,7 +60,8 @@ def curve_at(curve, lag, scale):
 
 
 def level_of(values, error):
-    """The mean over shells, leaving out the innermost, with the mean of their errors: shells of a frame are not independent."""
+    """The mean over shells, leaving out the innermost, with the mean of their errors: shells of
+    a frame are not independent."""
     later = slice(len(error) // 4, None)
     return dpd.Estimate(float(np.mean(values[later])), float(np.mean(error[later])))
 
@@ -62,7 +69,9 @@ def level_of(values, error):
 def bonded(run):
     """Contacts of a sphere, from the pairs that are bonded in each frame."""
     members = dpd.bonded_pairs(run, gap=0.5, forms=1.0)
-    return average(np.array([[2 * len(pairs) / runs.SPHERES for pairs in member] for member in members]))
+    return average(
+        np.array([[2 * len(pairs) / runs.SPHERES for pairs in member] for member in members])
+    )
 
 
 def displacement(run, axes):
@@ -81,23 +90,53 @@ def structure(measure, **numbers):
 
 AT_REST = "of a fluid in equilibrium.*run it without a flow"
 CASES = {
-    "shear_viscosity": Case(dpd.shear_viscosity, VISCOSITY, STEADY, r"run it with flow=dpd.shear|use dpd.moduli", True),
-    "green_kubo": Case(lambda run: dpd.green_kubo(run, window=0.5), VISCOSITY, RESTED, AT_REST, True),
-    "einstein_helfand": Case(lambda run: dpd.einstein_helfand(run, window=0.5), VISCOSITY, RESTED, AT_REST, True),
-    "sinusoidal_viscosity": Case(dpd.sinusoidal_viscosity, VISCOSITY, WAVED, r"run it with flow=dpd.sinusoidal_force", True),
-    "moduli, storage": Case(lambda run: dpd.moduli(run).storage, STORAGE, ("oscillated",), "need.*dpd.oscillatory_shear", True),
-    "moduli, loss": Case(lambda run: dpd.moduli(run).loss, LOSS, ("oscillated",), "need.*dpd.oscillatory_shear", True),
-    "mean_squared_displacement": Case(lambda run: displacement(run, "xyz"), WITHOUT_DRIFT, settled=True),
-    "mean_squared_displacement, yz": Case(lambda run: displacement(run, "yz"), WITHOUT_DRIFT, settled=True),
+    "shear_viscosity": Case(
+        dpd.shear_viscosity, VISCOSITY, STEADY, r"run it with flow=dpd.shear|use dpd.moduli", True
+    ),
+    "green_kubo": Case(
+        lambda run: dpd.green_kubo(run, window=0.5), VISCOSITY, RESTED, AT_REST, True
+    ),
+    "einstein_helfand": Case(
+        lambda run: dpd.einstein_helfand(run, window=0.5), VISCOSITY, RESTED, AT_REST, True
+    ),
+    "sinusoidal_viscosity": Case(
+        dpd.sinusoidal_viscosity, VISCOSITY, WAVED, r"run it with flow=dpd.sinusoidal_force", True
+    ),
+    "moduli, storage": Case(
+        lambda run: dpd.moduli(run).storage,
+        STORAGE,
+        ("oscillated",),
+        "need.*dpd.oscillatory_shear",
+        True,
+    ),
+    "moduli, loss": Case(
+        lambda run: dpd.moduli(run).loss, LOSS, ("oscillated",), "need.*dpd.oscillatory_shear", True
+    ),
+    "mean_squared_displacement": Case(
+        lambda run: displacement(run, "xyz"), WITHOUT_DRIFT, settled=True
+    ),
+    "mean_squared_displacement, yz": Case(
+        lambda run: displacement(run, "yz"), WITHOUT_DRIFT, settled=True
+    ),
     "velocity_autocorrelation": Case(
-        lambda run: curve_at(dpd.velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE), WITHOUT_DRIFT, settled=True
+        lambda run: curve_at(dpd.velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),
+        WITHOUT_DRIFT,
+        settled=True,
     ),
     "diffusion": Case(lambda run: dpd.diffusion(run, fit=FIT), WITHOUT_DRIFT, settled=True),
-    "diffusion, yz": Case(lambda run: dpd.diffusion(run, fit=FIT, axes="yz"), WITHOUT_DRIFT, settled=True),
-    "diffusion, vacf": Case(lambda run: dpd.diffusion(run, fit=FIT, method="vacf"), WITHOUT_DRIFT, settled=True),
+    "diffusion, yz": Case(
+        lambda run: dpd.diffusion(run, fit=FIT, axes="yz"), WITHOUT_DRIFT, settled=True
+    ),
+    "diffusion, vacf": Case(
+        lambda run: dpd.diffusion(run, fit=FIT, method="vacf"), WITHOUT_DRIFT, settled=True
+    ),
     "radial_distribution": Case(structure(dpd.radial_distribution, bins=20), 1.0),
-    "partial_distribution": Case(structure(dpd.partial_distribution, species_a=0, species_b=1, bins=20), 1.0),
-    "pair_distribution": Case(structure(dpd.pair_distribution, bins=20, h_min=-2 * runs.RADIUS), 1.0),
+    "partial_distribution": Case(
+        structure(dpd.partial_distribution, species_a=0, species_b=1, bins=20), 1.0
+    ),
+    "pair_distribution": Case(
+        structure(dpd.pair_distribution, bins=20, h_min=-2 * runs.RADIUS), 1.0
+    ),
     "structure_factor": Case(structure(dpd.structure_factor, q_max=3.0, bins=10), 1.0),
     "contact_number": Case(lambda run: dpd.contact_number(run, gap=0.5).mean, CONTACTS),
     "clusters": Case(lambda run: dpd.clusters(run, gap=0.01).average("mean_size"), CLUSTER),
@@ -105,25 +144,51 @@ CASES = {
     "bonded_pairs": Case(bonded, CONTACTS),
     "angular_velocity_autocorrelation": Case(
         lambda run: curve_at(dpd.angular_velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),
-        ROTATION, UNSHEARED, "run without a flow", True,
+        ROTATION,
+        UNSHEARED,
+        "run without a flow",
+        True,
     ),
     "orientation_correlation": Case(
-        lambda run: curve_at(dpd.orientation_correlation(run, t_max=1.0), -1, np.exp(-2 * ROTATION * (1.0 - HEAD_START)) / ROTATION),
-        ROTATION, UNSHEARED, "run without a flow", True,
+        lambda run: curve_at(
+            dpd.orientation_correlation(run, t_max=1.0),
+            -1,
+            np.exp(-2 * ROTATION * (1.0 - HEAD_START)) / ROTATION,
+        ),
+        ROTATION,
+        UNSHEARED,
+        "run without a flow",
+        True,
     ),
     "rotational_diffusion": Case(
-        lambda run: dpd.rotational_diffusion(run, fit=FIT), ROTATION, UNSHEARED, "run without a flow", True
+        lambda run: dpd.rotational_diffusion(run, fit=FIT),
+        ROTATION,
+        UNSHEARED,
+        "run without a flow",
+        True,
     ),
     "rotational_diffusion, vacf": Case(
-        lambda run: dpd.rotational_diffusion(run, fit=FIT, method="vacf"), ROTATION, UNSHEARED, "run without a flow", True
+        lambda run: dpd.rotational_diffusion(run, fit=FIT, method="vacf"),
+        ROTATION,
+        UNSHEARED,
+        "run without a flow",
+        True,
     ),
     "driven_diffusion": Case(
-        lambda run: dpd.driven_diffusion(run).diffusion, DIFFUSION, ("driven",), r"run it with flow=dpd.drive\(force", True
+        lambda run: dpd.driven_diffusion(run).diffusion,
+        DIFFUSION,
+        ("driven",),
+        r"run it with flow=dpd.drive\(force",
+        True,
     ),
     "driven_rotation": Case(
-        lambda run: dpd.driven_rotation(run).diffusion, ROTATION, ("driven",), r"run it with flow=dpd.drive\(torque", True
+        lambda run: dpd.driven_rotation(run).diffusion,
+        ROTATION,
+        ("driven",),
+        r"run it with flow=dpd.drive\(torque",
+        True,
     ),
-}  # fmt: skip
+}
 TOO_SHORT = "run longer|outside the run|too few|no error bar|within the run|too short"
 
 
@@ -146,7 +211,9 @@ def test_the_right_number_or_what_to_give(name, flow):
         found, told = outcome(case.measure, runs.made(flow, form))
         where = f"{name}, {flow}, {form}: {found}; {told}"
         if flow not in case.flows or form == "scan":
-            cure = "differ in .*run.members" + (f"|{case.refusal}" if flow not in case.flows else "")
+            cure = "differ in .*run.members" + (
+                f"|{case.refusal}" if flow not in case.flows else ""
+            )
             assert isinstance(found, str) and re.search(cure, found), where
         elif isinstance(found, str):
             assert form == "short" and re.search(TOO_SHORT, found), where
@@ -155,9 +222,18 @@ def test_the_right_number_or_what_to_give(name, flow):
         elif flow in ("pushed", "driven") and re.search("drove this run", told):
             assert name in PUSHED
         else:
-            assert form == "started up" or not told or (form == "short" and re.search(TOO_SHORT, told)), where
-            assert abs(found.value - case.due) < max(ERRORS * found.error, ROUGH * case.due * (form == "short")), where
+            assert (
+                form == "started up" or not told or (form == "short" and re.search(TOO_SHORT, told))
+            ), where
+            assert abs(found.value - case.due) < max(
+                ERRORS * found.error, ROUGH * case.due * (form == "short")
+            ), where
 
 
-PUSHED = [name for name, case in CASES.items() if case.settled and set(UNSHEARED) <= set(case.flows) and "yz" not in name]
-"""Measures of motion that does not tell the flow that a force made from that of the beads, and say so."""
+PUSHED = [
+    name
+    for name, case in CASES.items()
+    if case.settled and set(UNSHEARED) <= set(case.flows) and "yz" not in name
+]
+"""Measures of motion that does not tell the flow that a force made from that of the beads, and
+say so."""

@@ -1,4 +1,5 @@
-"""Fluids of several groups: what acts between whom, how far, under which name, and what is refused."""
+"""Fluids of several groups: what acts between whom, how far, under which name, and what is
+refused."""
 
 import math
 from types import SimpleNamespace
@@ -17,7 +18,9 @@ from dpdjax.prepare.start import placed, plan_lists
 
 def refused(kind, *parts):
     """Expect an error of one line that has every part in it."""
-    return pytest.raises(kind, check=lambda e: "\n" not in str(e) and all(p in str(e) for p in parts))
+    return pytest.raises(
+        kind, check=lambda e: "\n" not in str(e) and all(p in str(e) for p in parts)
+    )
 
 
 def soft(a=25.0, r_c=1.0, **how):
@@ -34,7 +37,10 @@ def between(groups, *terms, **how):
 
 def mixture(**how):
     """Three species: the first two of one kind, apart from the third."""
-    interactions = [between(((0, 1), (0, 1)), soft(10.0)), between((2, (0, 1)), soft(20.0, r_c=1.5))]
+    interactions = [
+        between(((0, 1), (0, 1)), soft(10.0)),
+        between((2, (0, 1)), soft(20.0, r_c=1.5)),
+    ]
     return dpd.fluid(interactions=interactions, **{"kT": 0.0} | how)
 
 
@@ -52,12 +58,26 @@ def test_each_pair_of_groups_has_its_own_law():
     fluid, box = mixture(), boxes.box(6.0)
     x = np.array([1.0, 1.6, 2.2, 2.4])
     position = jnp.asarray(np.stack([x, 0 * x + 1, 0 * x + 1], axis=1))
-    state = placed(fluid, jax.random.key(0), box, position, (1, 1, 2), plan_lists(fluid, box, (1, 1, 2), skin=0.1))
+    state = placed(
+        fluid,
+        jax.random.key(0),
+        box,
+        position,
+        (1, 1, 2),
+        plan_lists(fluid, box, (1, 1, 2), skin=0.1),
+    )
     assert [n.grid.groups for n in state.neighbours] == [((0, 2), (0, 2)), ((0, 2), (2, 4))]
-    force, _, _ = jax.jit(lambda s: pair_force(fluid, s, s.velocity, 0.0, jax.random.key(0), 0.01))(state)
+    force, _, _ = jax.jit(lambda s: pair_force(fluid, s, s.velocity, 0.0, jax.random.key(0), 0.01))(
+        state
+    )
     expected = np.zeros(4)
-    for i, j, push in ((0, 1, 10 * 0.4), (0, 2, 20 * (1 - 1.2 / 1.5)), (0, 3, 20 * (1 - 1.4 / 1.5)),
-                       (1, 2, 20 * (1 - 0.6 / 1.5)), (1, 3, 20 * (1 - 0.8 / 1.5))):  # fmt: skip
+    for i, j, push in (
+        (0, 1, 10 * 0.4),
+        (0, 2, 20 * (1 - 1.2 / 1.5)),
+        (0, 3, 20 * (1 - 1.4 / 1.5)),
+        (1, 2, 20 * (1 - 0.6 / 1.5)),
+        (1, 3, 20 * (1 - 0.8 / 1.5)),
+    ):
         expected[i] -= push
         expected[j] += push
     np.testing.assert_allclose(force[:, 0], expected, atol=1e-12)
@@ -77,7 +97,18 @@ def test_each_pair_of_groups_has_its_own_law():
         (lambda: between((0, 1), soft(r_c=-1.0)), ["r_c is -1.0"]),
         (lambda: dpd.interaction((0, 1), drag=rub(-1.0)), ["gamma is -1.0"]),
     ],
-    ids=["overlap", "part of", "gap", "empty", "three", "one", "no terms", "noise alone", "range", "friction"],
+    ids=[
+        "overlap",
+        "part of",
+        "gap",
+        "empty",
+        "three",
+        "one",
+        "no terms",
+        "noise alone",
+        "range",
+        "friction",
+    ],
 )
 def test_interactions_that_cannot_be(make, parts):
     with refused(ValueError, *parts):
@@ -93,18 +124,50 @@ def test_laws_without_numbers_are_no_terms(kind):
 @pytest.mark.parametrize(
     "how, parts",
     [
-        ({"interactions": [between((0, 1)), between((1, 0))]}, ["two interactions between ((0,), (1,))"]),
-        ({"conservative": [soft()], "interactions": [between((0, 0))]}, ["either interactions=[...], or conservative="]),
-        ({"drag": [rub()], "interactions": [between((0, 0))]}, ["either interactions=[...], or conservative="]),
-        ({"interactions": [between((0, 1))], "mass": [1.0, 1.0, 2.0]}, ["disagree", "mass has 3", "the interactions has 2"]),
-        ({"interactions": [between((0, 1))], "radius": (None,)}, ["disagree", "radius has 1", "the interactions has 2"]),
-        ({"interactions": [between((0, 1))], "species": 3}, ["disagree", "species has 3", "the interactions has 2"]),
-        ({"interactions": [between((0, 0), soft(a=np.ones((2, 2))))]}, ["disagree", "a has 2", "the interactions has 1"]),
+        (
+            {"interactions": [between((0, 1)), between((1, 0))]},
+            ["two interactions between ((0,), (1,))"],
+        ),
+        (
+            {"conservative": [soft()], "interactions": [between((0, 0))]},
+            ["either interactions=[...], or conservative="],
+        ),
+        (
+            {"drag": [rub()], "interactions": [between((0, 0))]},
+            ["either interactions=[...], or conservative="],
+        ),
+        (
+            {"interactions": [between((0, 1))], "mass": [1.0, 1.0, 2.0]},
+            ["disagree", "mass has 3", "the interactions has 2"],
+        ),
+        (
+            {"interactions": [between((0, 1))], "radius": (None,)},
+            ["disagree", "radius has 1", "the interactions has 2"],
+        ),
+        (
+            {"interactions": [between((0, 1))], "species": 3},
+            ["disagree", "species has 3", "the interactions has 2"],
+        ),
+        (
+            {"interactions": [between((0, 0), soft(a=np.ones((2, 2))))]},
+            ["disagree", "a has 2", "the interactions has 1"],
+        ),
         ({"interactions": [between((0, 0))], "radius": (-1.0,)}, ["radius is -1.0"]),
         ({"interactions": [between((0, 0))], "mass": 0.0}, ["mass is 0.0"]),
         ({"interactions": [between((0, 0))], "kT": -1.0}, ["kT is -1.0"]),
     ],
-    ids=["twice", "both", "both drags", "mass", "radii", "species", "table", "radius", "no mass", "kT"],
+    ids=[
+        "twice",
+        "both",
+        "both drags",
+        "mass",
+        "radii",
+        "species",
+        "table",
+        "radius",
+        "no mass",
+        "kT",
+    ],
 )
 def test_fluids_that_cannot_be(how, parts):
     with refused(ValueError, *parts):
@@ -121,7 +184,10 @@ def colloids():
 
 def numbers_of(fluid, name):
     """The number of every interaction that has it."""
-    found = [{float(t.coefficients[name]) for t in i.terms if name in t.coefficients} for i in fluid.interactions]
+    found = [
+        {float(t.coefficients[name]) for t in i.terms if name in t.coefficients}
+        for i in fluid.interactions
+    ]
     return [values.pop() if len(values) == 1 else values or None for values in found]
 
 
@@ -130,7 +196,10 @@ def test_set_between_two_groups_leaves_the_others(colloids):
     assert numbers_of(colloids.set(between=(1, 1), gamma=45.0), "gamma") == [4.5, 4.5, 45.0]
     assert numbers_of(colloids.set(between=(1, 0), gamma=45.0), "gamma") == [4.5, 45.0, 4.5]
     assert numbers_of(colloids.set(between=((1,), (1,)), D0=3.0), "D0") == [None, None, 3.0]
-    assert mixture().set(between=((0, 1), 2), a=7.0).interactions[1].conservative[0].coefficients["a"] == 7.0
+    assert (
+        mixture().set(between=((0, 1), 2), a=7.0).interactions[1].conservative[0].coefficients["a"]
+        == 7.0
+    )
 
 
 def test_set_refuses_what_is_not_there(colloids):
@@ -152,8 +221,12 @@ def test_reaches_are_between_centres_of_the_largest_beads(colloids):
     np.testing.assert_allclose(colloids.reaches(), [1.0, 2 ** (1 / 3), 3.0])
     np.testing.assert_allclose(colloids.reaches((1.0, 1.3)), [1.0, (1 + 1.3**3) ** (1 / 3), 3.6])
     assert mixture(radius=(None, 0.2, 0.5)).reaches() == (1.4, 2.2)
-    depletion = dpd.colloid_fluid(**NUMBERS, attraction=dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1))
-    assert depletion.set(r_g=jnp.array([0.1, 0.7])).reaches()[2] == pytest.approx(3.4), "of a scan the farthest"
+    depletion = dpd.colloid_fluid(
+        **NUMBERS, attraction=dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
+    )
+    assert depletion.set(r_g=jnp.array([0.1, 0.7])).reaches()[2] == pytest.approx(3.4), (
+        "of a scan the farthest"
+    )
 
 
 @dpd.reaches(lambda *, width, R_i, R_j: width * (R_i + R_j))
@@ -176,7 +249,14 @@ def test_a_law_of_a_user_says_where_it_ends():
 
 def test_stresses_have_the_names_of_their_terms(colloids):
     assert mixture().origins == ("conservative", "drag", "random")
-    assert colloids.origins == ("conservative", "drag", "random", "contact", "colloid", "lubrication")
+    assert colloids.origins == (
+        "conservative",
+        "drag",
+        "random",
+        "contact",
+        "colloid",
+        "lubrication",
+    )
     named = dpd.fluid([soft(origin="soft"), soft()], [rub()], kT=1.0)
     assert named.origins == ("conservative", "drag", "random", "soft")
 
@@ -190,19 +270,27 @@ def test_scans_are_batches(colloids):
 
 
 def test_colloids_have_the_numbers_of_the_page(colloids):
-    """PHYSICS, section 2: a = 25 kT/r_c, f = 10^4 kT/r_c, Delta = delta = 0.001, mass of the displaced solvent."""
+    """PHYSICS, section 2: a = 25 kT/r_c, f = 10^4 kT/r_c, Delta = delta = 0.001, mass of the
+    displaced solvent."""
     solvent, mixed, pairs = colloids.interactions
     assert solvent.conservative[0].coefficients == {"a": 2.5, "r_c": 1.0}
     assert mixed.conservative[0].coefficients == {"strength": 2.5, "r_c": 1.0}
     assert pairs.conservative[0].coefficients == {"f": 1000.0, "Delta": 1e-3, "r_c": 1.0}
     assert pairs.conservative[1].coefficients == {"D0": 1.2, "kappa": 30.0, "r0": 0.0, "r_c": 1.0}
     assert pairs.conservative[1].between()[1] == 1.0
-    assert pairs.drag[1].coefficients == {"eta_0": 0.3, "delta": 1e-3, "r_c": 1.0} and pairs.drag[1].between()[1] == 1.0
+    assert (
+        pairs.drag[1].coefficients == {"eta_0": 0.3, "delta": 1e-3, "r_c": 1.0}
+        and pairs.drag[1].between()[1] == 1.0
+    )
     assert all(i.random is None for i in colloids.interactions), "noise follows from drag"
     np.testing.assert_allclose(colloids.mass, [1.0, 4 * math.pi])
     assert colloids.radius == (None, 1.0)
     wide = dpd.colloid_fluid(kT=0.2, r_c=2.0, radius=3.0, density=4.0)
-    assert wide.value("a") == 25 * 0.2 / 2 and wide.value("strength") == 25 * 0.2 and wide.value("f") == 1e4 * 0.2 / 2
+    assert (
+        wide.value("a") == 25 * 0.2 / 2
+        and wide.value("strength") == 25 * 0.2
+        and wide.value("f") == 1e4 * 0.2 / 2
+    )
     np.testing.assert_allclose(wide.mass, [1.0, 4 * 36 * math.pi])
 
 
@@ -211,7 +299,11 @@ def laws_of(terms):
 
 
 def test_other_laws_by_name():
-    laws = dict(solvent_repulsion=dpd.scripts_repulsion, contact=dpd.scaled_contact, lubrication=dpd.unequal_lubrication)
+    laws = dict(
+        solvent_repulsion=dpd.scripts_repulsion,
+        contact=dpd.scaled_contact,
+        lubrication=dpd.unequal_lubrication,
+    )
     _, mixed, pairs = dpd.colloid_fluid(**NUMBERS, **laws).interactions
     assert laws_of(mixed.conservative) == [dpd.scripts_repulsion]
     assert laws_of(pairs.conservative) == [dpd.scaled_contact, dpd.morse]
@@ -220,19 +312,25 @@ def test_other_laws_by_name():
 
 def test_an_attraction_is_a_term_and_the_only_one():
     depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
-    with pytest.warns(UserWarning, match="D0 is 1.2, the depth of the Morse attraction, and not used"):
+    with pytest.warns(
+        UserWarning, match="D0 is 1.2, the depth of the Morse attraction, and not used"
+    ):
         dpd.colloid_fluid(D0=1.2, attraction=depletion)
     with pytest.raises(TypeError, match=r"asakura_oosawa is not a term; write dpd.term\(law"):
         dpd.colloid_fluid(attraction=dpd.asakura_oosawa)
-    with pytest.raises(TypeError, match=r"'depth'; it takes none: coefficients come after a star, def law\(h, \*, ...\)"):
+    with pytest.raises(
+        TypeError,
+        match=r"'depth'; it takes none: coefficients come after a star, def law\(h, \*, ...\)",
+    ):
         dpd.term(lambda h, depth: depth * h, depth=1.0, reach=1.0)
 
 
 def test_spheres_start_apart_and_points_outside():
     among = [
-        dpd.interaction((0, 0), soft()), dpd.interaction((0, 1), dpd.term(dpd.balanced_repulsion, strength=2.5, r_c=1.0)),
+        dpd.interaction((0, 0), soft()),
+        dpd.interaction((0, 1), dpd.term(dpd.balanced_repulsion, strength=2.5, r_c=1.0)),
         dpd.interaction((1, 1), soft()),
-    ]  # fmt: skip
+    ]
     fluid = dpd.fluid(interactions=among, kT=0.1, mass=[1.0, 12.0], radius=(None, 1.0))
     state = dpd.initial_state(fluid, jax.random.key(0), box=7.0, n=[300, 12], sheared=False)
     d = boxes.displacement(state.box, state.position[:, None], state.position[None, 300:])
@@ -241,24 +339,40 @@ def test_spheres_start_apart_and_points_outside():
     with pytest.raises(ValueError, match="volume fraction"):
         dpd.initial_state(fluid, jax.random.key(0), box=7.0, density=3.0, sheared=False)
     with pytest.raises(ValueError, match="outside jit and vmap"):
-        jax.vmap(lambda key: dpd.initial_state(fluid, key, box=7.0, n=[300, 12]).position)(jax.random.split(jax.random.key(0), 2))
+        jax.vmap(lambda key: dpd.initial_state(fluid, key, box=7.0, n=[300, 12]).position)(
+            jax.random.split(jax.random.key(0), 2)
+        )
 
 
 def test_other_attractions():
     depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
     repulsion = dpd.term(dpd.yukawa, epsilon=1.0, kappa=5.0, origin="charge")
-    of_pairs = lambda attraction: dpd.colloid_fluid(**NUMBERS, attraction=attraction).interactions[2].conservative[1:]
+    of_pairs = lambda attraction: (
+        dpd.colloid_fluid(**NUMBERS, attraction=attraction).interactions[2].conservative[1:]
+    )
     assert laws_of(of_pairs(depletion)) == [dpd.asakura_oosawa]
     assert [t.origin for t in of_pairs([depletion, repulsion])] == ["colloid", "charge"]
     assert of_pairs([]) == ()
 
 
 def test_literal_noise_by_name():
-    exact, literal = (dpd.colloid_fluid(**NUMBERS, noise=noise).interactions for noise in ("exact", "literal"))
+    exact, literal = (
+        dpd.colloid_fluid(**NUMBERS, noise=noise).interactions for noise in ("exact", "literal")
+    )
     assert exact[2].random is None
-    assert laws_of(literal[2].drag) == [dpd.literal_drag] and laws_of(literal[2].random) == [dpd.literal_noise]
-    assert literal[2].drag[0].coefficients == {"gamma": 4.5, "r_c": 1.0, "eta_0": 0.3, "delta": 1e-3}
-    assert laws_of(literal[0].drag) == [dpd.central_drag] and literal[0].random is literal[1].random is None
+    assert laws_of(literal[2].drag) == [dpd.literal_drag] and laws_of(literal[2].random) == [
+        dpd.literal_noise
+    ]
+    assert literal[2].drag[0].coefficients == {
+        "gamma": 4.5,
+        "r_c": 1.0,
+        "eta_0": 0.3,
+        "delta": 1e-3,
+    }
+    assert (
+        laws_of(literal[0].drag) == [dpd.central_drag]
+        and literal[0].random is literal[1].random is None
+    )
 
 
 @pytest.mark.parametrize(
@@ -282,7 +396,9 @@ def test_colloids_that_cannot_be(wrong, parts):
 def test_diffusion_time_of_the_page(colloids):
     """R 1, kT 0.1, eta 0.3: 56.5."""
     assert float(dpd.diffusion_time(colloids)) == pytest.approx(56.5, abs=0.1)
-    assert dpd.diffusion_time(dpd.colloid_fluid(**NUMBERS, radius=2.0)) == pytest.approx(8 * 6 * math.pi * 3)
+    assert dpd.diffusion_time(dpd.colloid_fluid(**NUMBERS, radius=2.0)) == pytest.approx(
+        8 * 6 * math.pi * 3
+    )
     with refused(TypeError, "no radius"):
         dpd.diffusion_time(dpd.fluid([soft()], kT=1.0))
     with refused(TypeError, "'eta_0'"):
@@ -290,10 +406,18 @@ def test_diffusion_time_of_the_page(colloids):
 
 
 def test_colloids_of_traced_numbers(colloids):
-    """Forces on two touching colloids and two solvent beads, over kT, D0 and eta_0 at once, and their slopes."""
+    """Forces on two touching colloids and two solvent beads, over kT, D0 and eta_0 at once, and
+    their slopes."""
     box, key = boxes.box(8.0), jax.random.key(0)
     position = jnp.array([[1.0, 1.0, 2.1], [1.0, 1.0, 7.8], [1.0, 1.0, 1.0], [3.02, 1.0, 1.0]])
-    state = placed(colloids, key, box, position, (2, 2), plan_lists(colloids, box, (2, 2), skin=0.1, sheared=False))
+    state = placed(
+        colloids,
+        key,
+        box,
+        position,
+        (2, 2),
+        plan_lists(colloids, box, (2, 2), skin=0.1, sheared=False),
+    )
 
     def force(kT, D0, eta_0):
         fluid = dpd.colloid_fluid(**NUMBERS | dict(kT=kT, D0=D0, eta_0=eta_0))
@@ -306,7 +430,9 @@ def test_colloids_of_traced_numbers(colloids):
     assert not np.allclose(together[1], together[2])
     slope = jax.jit(jax.jacfwd(lambda D0: force(0.1, D0, 0.3)))(1.2)
     e = math.exp(-30 * 0.02)
-    np.testing.assert_allclose(slope[2:, 0], [2 * 30 * (e - e * e), -2 * 30 * (e - e * e)], rtol=1e-9)
+    np.testing.assert_allclose(
+        slope[2:, 0], [2 * 30 * (e - e * e), -2 * 30 * (e - e * e)], rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("origin", ["kinetic", "conservative", "drag", "random", "tensor"])
@@ -317,11 +443,15 @@ def test_names_of_stresses_that_are_taken(origin):
 
 def test_one_name_for_a_potential_and_a_friction():
     soft = dpd.term(dpd.soft_repulsion, a=1.0, r_c=1.0, origin="mine")
-    with pytest.raises(ValueError, match="the origin mine is that of a potential and of a friction"):
+    with pytest.raises(
+        ValueError, match="the origin mine is that of a potential and of a friction"
+    ):
         dpd.fluid([soft], [dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0, origin="mine")], kT=1.0)
 
 
-@pytest.mark.parametrize("name, value", [("eta_0", -1.0), ("delta", 0.0), ("Delta", 0.0), ("kappa", -3.0)])
+@pytest.mark.parametrize(
+    "name, value", [("eta_0", -1.0), ("delta", 0.0), ("Delta", 0.0), ("kappa", -3.0)]
+)
 def test_numbers_no_colloid_can_have(name, value, colloids):
     with pytest.raises(ValueError, match=f"{name} is {value}"):
         colloids.set(**{name: value})
@@ -347,9 +477,12 @@ def test_the_static_pressure_has_every_potential_and_the_drag_every_friction(col
     one = lambda k: jnp.full((3, 3), 10.0**k)
     origins = ("conservative", "drag", "random", "contact", "colloid", "lubrication")
     state = SimpleNamespace(
-        tally=SimpleNamespace(virial={origin: one(k) for k, origin in enumerate(origins)}), box=SimpleNamespace(volume=1.0),
-        velocity=jnp.zeros((2, 3)), species=jnp.array([0, 1]), size=jnp.ones(2),
-    )  # fmt: skip
+        tally=SimpleNamespace(virial={origin: one(k) for k, origin in enumerate(origins)}),
+        box=SimpleNamespace(volume=1.0),
+        velocity=jnp.zeros((2, 3)),
+        species=jnp.array([0, 1]),
+        size=jnp.ones(2),
+    )
     np.testing.assert_allclose(dpd.static_pressure(colloids, state), 1 + 1e3 + 1e4)
     np.testing.assert_allclose(drag_pressure(colloids, state), 10 + 1e5)
     np.testing.assert_allclose(dpd.pressure_tensor(colloids, state), 11011 + 1e5)

@@ -13,7 +13,9 @@ from dpdjax.engine.box import Box
 
 NUMBERS = {
     "a": lambda start: start["fluid"].interactions[0].conservative[0].coefficients["a"],
-    "r_c of the repulsion": lambda start: start["fluid"].interactions[0].conservative[0].coefficients["r_c"],
+    "r_c of the repulsion": lambda start: (
+        start["fluid"].interactions[0].conservative[0].coefficients["r_c"]
+    ),
     "gamma": lambda start: start["fluid"].interactions[0].drag[0].coefficients["gamma"],
     "r_c of the drag": lambda start: start["fluid"].interactions[0].drag[0].coefficients["r_c"],
     "kT": lambda start: start["fluid"].kT,
@@ -73,7 +75,8 @@ def forward(stress):
 
 
 def along(start, leaf):
-    """The direction that moves one number by its own size, or every bead by 0.1, and nothing else."""
+    """The direction that moves one number by its own size, or every bead by 0.1, and nothing
+    else."""
     signs = jnp.asarray(np.random.default_rng(0).choice([-1.0, 1.0], leaf.shape))
     move = signs * (leaf if leaf.ndim < 2 else 0.1)
     return jax.tree.map(lambda x: move if x is leaf else jnp.zeros_like(x), start)
@@ -96,22 +99,31 @@ def test_every_gradient_is_finite(start, reverse):
 
 def test_remat_gives_the_same_gradient(start, stress, reverse):
     again = jax.jit(jax.grad(lambda start: stress(start, remat=True)))(start)
-    np.testing.assert_allclose(ravel_pytree(again)[0], ravel_pytree(reverse(start))[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        ravel_pytree(again)[0], ravel_pytree(reverse(start))[0], rtol=1e-9, atol=1e-12
+    )
 
 
 def test_scaling_all_energies_scales_every_stress(water, sheared_water, key, ten):
-    """An exact identity: (kT, a, gamma, dt, rate, v) by (l, l, sqrt l, 1/sqrt l, sqrt l, sqrt l)."""
+    """An exact identity: (kT, a, gamma, dt, rate, v) by (l, l, sqrt l, 1/sqrt l, sqrt l, sqrt
+    l)."""
 
     def stresses(scale):
         root = jnp.sqrt(scale)
         fluid = water.set(kT=1.0 * scale, a=25.0 * scale, gamma=4.5 * root)
-        state = dataclasses.replace(sheared_water.restarted(), velocity=sheared_water.velocity * root)
-        return dpd.simulate(fluid, state, key, 0.01 / root, ten, dpd.shear(root), observe=dpd.stresses).frames
+        state = dataclasses.replace(
+            sheared_water.restarted(), velocity=sheared_water.velocity * root
+        )
+        return dpd.simulate(
+            fluid, state, key, 0.01 / root, ten, dpd.shear(root), observe=dpd.stresses
+        ).frames
 
     both = jax.jit(lambda scale: jax.jvp(stresses, (scale,), (jnp.ones_like(scale),)))
     one, slope = both(jnp.asarray(1.0))
     scaled, _ = both(jnp.asarray(1.7))
-    assert {"pressure_kinetic", "pressure_conservative", "pressure_drag", "pressure_random"} <= set(one)
+    assert {"pressure_kinetic", "pressure_conservative", "pressure_drag", "pressure_random"} <= set(
+        one
+    )
     for origin in (name for name in one if name.startswith("pressure")):
         size = jnp.max(jnp.abs(one[origin]))
         assert size > 0.1

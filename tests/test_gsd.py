@@ -28,7 +28,10 @@ host = sys.modules[dpd.run.__module__]
 @pytest.fixture(scope="module")
 def fluid():
     """Points, and spheres of mixed sizes."""
-    soft, rub = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0), dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)
+    soft, rub = (
+        dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0),
+        dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0),
+    )
     return dpd.fluid([soft], [rub], kT=1.0, mass=MASSES, radius=(None, RADIUS))
 
 
@@ -37,7 +40,15 @@ def state(fluid, key):
     size = np.concatenate([np.ones(COUNTS[0]), np.linspace(0.7, 1.2, COUNTS[1])])
     position = jax.random.uniform(key, (sum(COUNTS), 3)) * SIDES[None]
     box = boxes.box(SIDES)
-    return placed(fluid, key, box, position, COUNTS, plan_lists(fluid, box, COUNTS, size=size, skin=0.15), size=size)
+    return placed(
+        fluid,
+        key,
+        box,
+        position,
+        COUNTS,
+        plan_lists(fluid, box, COUNTS, size=size, skin=0.15),
+        size=size,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +59,9 @@ def run(fluid, state, key):
 
 @pytest.fixture(scope="module")
 def to_file(fluid, state, key):
-    return lambda path, plan=PLAN, **how: dpd.run_to_gsd(path, fluid, state, key, DT, plan, FLOW, progress=False, **how)
+    return lambda path, plan=PLAN, **how: dpd.run_to_gsd(
+        path, fluid, state, key, DT, plan, FLOW, progress=False, **how
+    )
 
 
 @pytest.fixture(scope="module")
@@ -85,12 +98,20 @@ def test_beads_are_described(frames, state):
         assert beads.N == sum(COUNTS) and beads.types == ["A", "B"]
         assert np.array_equal(beads.typeid, np.repeat([0, 1], COUNTS))
         size = np.asarray(state.size)[COUNTS[0] :]
-        np.testing.assert_allclose(beads.mass, np.concatenate([np.ones(COUNTS[0]), 5 * size**3]), rtol=1e-6)
-        np.testing.assert_allclose(beads.diameter, np.concatenate([np.ones(COUNTS[0]), 2 * RADIUS * size]), rtol=1e-6)
+        np.testing.assert_allclose(
+            beads.mass, np.concatenate([np.ones(COUNTS[0]), 5 * size**3]), rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            beads.diameter, np.concatenate([np.ones(COUNTS[0]), 2 * RADIUS * size]), rtol=1e-6
+        )
 
 
 def test_steps_and_boxes_are_those_of_the_run(frames, run):
-    assert [f.configuration.step for f in frames] == run.frames["step"].tolist() == list(range(40, 321, 40))
+    assert (
+        [f.configuration.step for f in frames]
+        == run.frames["step"].tolist()
+        == list(range(40, 321, 40))
+    )
     for frame, strain in zip(frames, run.frames["strain"]):
         np.testing.assert_allclose(frame.configuration.box, [*SIDES, strain, 0, 0], rtol=1e-6)
     tilts = [f.configuration.box[3] for f in frames]
@@ -106,7 +127,9 @@ def test_positions_are_inside_a_centred_box_and_right_modulo_its_lattice(frames,
         turns = (frame.particles.position + middle - position) @ np.linalg.inv(lattice)
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-5)
         np.testing.assert_allclose(unwrapped(frame) + middle, position + image @ lattice, atol=2e-5)
-    assert any(np.any(f.particles.image != image) for f, image in zip(frames, run.frames["image"])), "some were moved along x"
+    assert any(
+        np.any(f.particles.image != image) for f, image in zip(frames, run.frames["image"])
+    ), "some were moved along x"
 
 
 def test_velocities_are_those_of_the_lab(frames, run):
@@ -117,8 +140,11 @@ def test_velocities_are_those_of_the_lab(frames, run):
 
 
 def test_velocities_carry_beads_from_frame_to_frame(fluid, run, key, tmp_path):
-    """One step apart; the image of a bead in the next row streams by a side times the rate faster."""
-    dpd.run_to_gsd(tmp_path / "steps.gsd", fluid, run.final, key, 1e-4, dpd.Plan(2), FLOW, progress=False)
+    """One step apart; the image of a bead in the next row streams by a side times the rate
+    faster."""
+    dpd.run_to_gsd(
+        tmp_path / "steps.gsd", fluid, run.final, key, 1e-4, dpd.Plan(2), FLOW, progress=False
+    )
     before, after = frames_of(tmp_path / "steps.gsd")
     moved = (unwrapped(after) - unwrapped(before)) / 1e-4
     carried = 0.5 * (before.particles.velocity + after.particles.velocity)
@@ -127,26 +153,33 @@ def test_velocities_carry_beads_from_frame_to_frame(fluid, run, key, tmp_path):
 
 
 def test_rotation_is_written_as_hoomd_means_it(key, tmp_path):
-    """By its own definitions: the body's axes by q v q*, the angular momentum by q* p / 2 in the body's axes."""
+    """By its own definitions: the body's axes by q v q*, the angular momentum by q* p / 2 in the
+    body's axes."""
     made = dpd.marbles(key, box=6.0, radius=1.5, density=1.0, skin=0.2, dt=0.005, report=None)
     how = made.fluid, made.state, key, 0.005, dpd.Plan(4, 50), dpd.drive(torque=(0.0, 30.0, 20.0))
     ran = dpd.run_to_gsd(tmp_path / "turning.gsd", *how, piece=2, progress=False)
     dpd.write_gsd(tmp_path / "memory.gsd", dpd.run(*how, observe=dpd.gsd_record, progress=False))
     inertia = float(made.fluid.value("inertia"))
-    product = lambda a, b: np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+    product = lambda a, b: np.array(
+        [a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))]
+    )
     against = lambda q: q * [1, -1, -1, -1]
     files = [frames_of(tmp_path / name) for name in ("turning.gsd", "memory.gsd")]
     for k, (frame, other) in enumerate(zip(*files, strict=True)):
         beads = frame.particles
         for name in ("orientation", "angmom", "moment_inertia"):
-            np.testing.assert_allclose(getattr(beads, name), getattr(other.particles, name), rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(
+                getattr(beads, name), getattr(other.particles, name), rtol=1e-6, atol=1e-6
+            )
         assert np.all(beads.orientation[:-1] == [1, 0, 0, 0])
         assert not np.any(beads.angmom[:-1]) and not np.any(beads.moment_inertia[:-1])
         np.testing.assert_allclose(beads.moment_inertia[-1], inertia, rtol=1e-6)
         q, p = beads.orientation[-1].astype(float), beads.angmom[-1].astype(float)
         omega = ran.frames["angular_velocity"][k, 0]
         body = 0.5 * product(against(q), p)
-        np.testing.assert_allclose(product(product(q, body), against(q)), [0, *(inertia * omega)], rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(
+            product(product(q, body), against(q)), [0, *(inertia * omega)], rtol=1e-5, atol=1e-4
+        )
         axis = product(product(q, np.array([0.0, 0.0, 0.0, 1.0])), against(q))[1:]
         np.testing.assert_allclose(axis, axis_of(ran.frames["orientation"][k, 0]), atol=1e-6)
     assert abs(q[0]) < 0.99, "it has turned"
@@ -163,7 +196,9 @@ def test_freud_opens_it(written, frames):
             count.compute(frame, reset=False)
     assert np.all(np.isfinite(count.rdf)) and count.box.Lx == 5.0
     # The coordination within a distance, counted over all images by hand.
-    found = freud.locality.AABBQuery.from_system(frames[3]).query(frames[3].particles.position, {"r_max": 1.2, "exclude_ii": True})
+    found = freud.locality.AABBQuery.from_system(frames[3]).query(
+        frames[3].particles.position, {"r_max": 1.2, "exclude_ii": True}
+    )
     lattice, x = lattice_of(frames[3]), frames[3].particles.position.astype(float)
     shifts = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3) @ lattice
     r = np.linalg.norm(x[:, None, None] - x[None, :, None] + shifts, axis=-1)
@@ -189,7 +224,9 @@ def test_a_run_in_memory_is_written_alike(run, frames, tmp_path):
     for one, other in zip(frames_of(tmp_path / "memory.gsd"), frames, strict=True):
         assert one.configuration.step == other.configuration.step
         for name in ("position", "velocity", "image", "mass", "diameter"):
-            assert np.array_equal(getattr(one.particles, name), getattr(other.particles, name)), name
+            assert np.array_equal(getattr(one.particles, name), getattr(other.particles, name)), (
+                name
+            )
 
 
 def test_a_file_is_gone_on_with(run, fluid, state, tmp_path):
@@ -205,7 +242,14 @@ def test_images_unwrap_without_shear(fluid, state, tmp_path):
     rng = np.random.default_rng(0)
     everywhere = rng.uniform(-20, 20, (1, state.n, 3))
     wrapped, image = boxes.wrap(state.box, jnp.asarray(everywhere[0]))
-    frames = {"step": [7], "time": [0.1], "position": [wrapped], "velocity": 0 * everywhere, "image": [image], "strain": [0.0]}
+    frames = {
+        "step": [7],
+        "time": [0.1],
+        "position": [wrapped],
+        "velocity": 0 * everywhere,
+        "image": [image],
+        "strain": [0.0],
+    }
     with dpd.gsd_writer(tmp_path / "still.gsd", fluid, state) as write:
         write(frames)
     (frame,) = frames_of(tmp_path / "still.gsd")
@@ -214,7 +258,9 @@ def test_images_unwrap_without_shear(fluid, state, tmp_path):
 
 
 @pytest.mark.parametrize("third, kept", [(3, 4), (1, 0)], ids=["in the middle", "at once"])
-def test_interrupt_leaves_the_whole_pieces(third, kept, to_file, monkeypatch, tmp_path, written, capsys):
+def test_interrupt_leaves_the_whole_pieces(
+    third, kept, to_file, monkeypatch, tmp_path, written, capsys
+):
     genuine, count = host.replayed, []
 
     def interrupted(*arguments):
@@ -228,7 +274,9 @@ def test_interrupt_leaves_the_whole_pieces(third, kept, to_file, monkeypatch, tm
     assert not ended.complete and len(count) == third, "and no piece after"
     assert len(ended.frames.get("time", [])) == kept and ended.final.step == 40 * kept
     assert f"interrupted after {kept} of {PLAN.frames} frames" in capsys.readouterr().err
-    for one, other in zip(frames_of(tmp_path / "cut.gsd"), frames_of(written[0])[:kept], strict=True):
+    for one, other in zip(
+        frames_of(tmp_path / "cut.gsd"), frames_of(written[0])[:kept], strict=True
+    ):
         assert np.array_equal(one.particles.position, other.particles.position)
 
 
@@ -260,7 +308,8 @@ def test_a_failed_run_keeps_the_pieces_before(to_file, monkeypatch, tmp_path):
 KILLED = """
 import os, signal, jax, dpdjax as dpd
 from dpdjax.host import gsd as host
-water = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
+repulsion = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)
+water = dpd.fluid([repulsion], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
 key, genuine, ran = jax.random.key(0), host.run_on, []
 state = dpd.initial_state(water, key, box=3.5, density=3.0)
 def killed(*given, **how):
@@ -281,24 +330,37 @@ def test_a_killed_run_keeps_the_whole_pieces(name, tmp_path):
     assert [frame.configuration.step for frame in frames_of(path)] == list(range(2, 17, 2))
 
 
-def test_a_file_that_is_there_is_never_overwritten_unasked(to_file, run, fluid, state, key, written, tmp_path):
+def test_a_file_that_is_there_is_never_overwritten_unasked(
+    to_file, run, fluid, state, key, written, tmp_path
+):
     path = tmp_path / "kept.gsd"
     path.write_bytes(written[0].read_bytes())
-    refused = pytest.raises(FileExistsError, match="kept.gsd is there already; give another name, or overwrite=True to replace it")
+    refused = pytest.raises(
+        FileExistsError,
+        match="kept.gsd is there already; give another name, or overwrite=True to replace it",
+    )
     for go in (to_file, lambda path: dpd.write_gsd(path, run)):
         with refused:
             go(path)
-    with pytest.raises(FileExistsError, match='mode="w" to replace'), dpd.gsd_writer(path, fluid, state):
+    with (
+        pytest.raises(FileExistsError, match='mode="w" to replace'),
+        dpd.gsd_writer(path, fluid, state),
+    ):
         pass
     with pytest.raises(ValueError, match="give one of them"):
         to_file(path, overwrite=True, append=True)
-    with pytest.raises(ValueError, match="kept.gsd ends at step 320 and the state is at step 0: go on from the final state"):
+    with pytest.raises(
+        ValueError,
+        match="kept.gsd ends at step 320 and the state is at step 0: go on from the final state",
+    ):
         to_file(path, append=True)
     other = dataclasses.replace(run.final, size=1.1 * run.final.size)
     with pytest.raises(ValueError, match="holds 108 beads .* give another file"):
         dpd.run_to_gsd(path, fluid, other, key, DT, PLAN, FLOW, append=True)
     assert path.read_bytes() == written[0].read_bytes()
-    dpd.run_to_gsd(path, fluid, run.final, key, DT, dpd.Plan(2, 40), FLOW, append=True, progress=False)
+    dpd.run_to_gsd(
+        path, fluid, run.final, key, DT, dpd.Plan(2, 40), FLOW, append=True, progress=False
+    )
     assert [frame.configuration.step for frame in frames_of(path)] == list(range(40, 401, 40))
     dpd.write_gsd(path, run, overwrite=True)
     assert len(frames_of(path)) == PLAN.frames
@@ -322,17 +384,31 @@ def test_what_cannot_be_written(fluid, state, key, run, tmp_path):
     with pytest.raises(TypeError, match="plan is 3"):
         go(plan=3)
     assert kept.read_bytes() == b"precious", "errors that can be told before leave the file alone"
-    batch = dpd.Trajectory(jax.tree.map(lambda x: jnp.stack([x, x]), run.final), run.frames, fluid, FLOW, DT)
-    with pytest.raises(ValueError, match=r"one run; write the members of a batch one by one, trajectory.members\(\)"):
+    batch = dpd.Trajectory(
+        jax.tree.map(lambda x: jnp.stack([x, x]), run.final), run.frames, fluid, FLOW, DT
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"one run; write the members of a batch one by one, trajectory.members\(\)",
+    ):
         dpd.write_gsd(kept, batch)
-    blind = dpd.Trajectory(run.final, {k: v for k, v in run.frames.items() if k not in ("image", "strain")}, fluid, FLOW, DT)
+    blind = dpd.Trajectory(
+        run.final,
+        {k: v for k, v in run.frames.items() if k not in ("image", "strain")},
+        fluid,
+        FLOW,
+        DT,
+    )
     with pytest.raises(ValueError, match="recorded no image, strain; use observe=dpd.gsd_record"):
         dpd.write_gsd(kept, blind)
 
 
 def test_a_missing_package_is_named(fluid, state, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "gsd.hoomd", None)
-    with pytest.raises(ImportError, match="pip install gsd"), dpd.gsd_writer(tmp_path / "none.gsd", fluid, state):
+    with (
+        pytest.raises(ImportError, match="pip install gsd"),
+        dpd.gsd_writer(tmp_path / "none.gsd", fluid, state),
+    ):
         pass
     assert importlib.util.find_spec("gsd") is not None
 

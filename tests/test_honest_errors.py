@@ -1,4 +1,5 @@
-"""Measurements state errors that cover: synthetic stresses with the memory of the real one, hundreds of times over."""
+"""Measurements state errors that cover: synthetic stresses with the memory of the real one,
+hundreds of times over."""
 
 from types import SimpleNamespace
 
@@ -9,10 +10,11 @@ from scipy.signal import lfilter
 from dpdjax.calibration import experiment
 
 EXACT, WHITE, RANDOM, SLOW = 1.1, 0.21, 1.55, ((0.03, 8.0), (0.00077, 150.0))
-"""As measured at a 2.5, kT 0.1, gamma 50, a frame of 0.024: variances over a frame of what a box of 375 beads records, in
-units of (stress/rate)^2, and of the parts that remember, for how many frames; of the random stress minus 0.35 goes with the
-value. With it taken off, blocks of 25, 50, 100, 200 and 400 frames give the mean of 6 boxes of 3000 beads over 3600 frames errors
-of 1.64, 1.67, 1.72(8), 1.84(12) and 2.04(20) thousandths."""
+"""As measured at a 2.5, kT 0.1, gamma 50, a frame of 0.024: variances over a frame of what a box of
+375 beads records, in units of (stress/rate)^2, and of the parts that remember, for how many frames;
+of the random stress minus 0.35 goes with the value. With it taken off, blocks of 25, 50, 100, 200
+and 400 frames give the mean of 6 boxes of 3000 beads over 3600 frames errors of 1.64, 1.67,
+1.72(8), 1.84(12) and 2.04(20) thousandths."""
 THERMAL = 130
 """Frames of a thermal time."""
 
@@ -30,7 +32,9 @@ class Stress:
         value = draw(WHITE) - 0.35 * random
         for k, (variance, memory) in enumerate(SLOW):
             kept = np.exp(-1 / memory)
-            slow, _ = lfilter([1], [1, -kept], draw(1 - kept**2), axis=1, zi=(kept * self.last[k])[:, None])
+            slow, _ = lfilter(
+                [1], [1, -kept], draw(1 - kept**2), axis=1, zi=(kept * self.last[k])[:, None]
+            )
             self.last[k] = slow[:, -1]
             value = value + np.sqrt(variance) * slow
         return {"value": EXACT + value / np.sqrt(8.0), "noise": random / np.sqrt(8.0)}
@@ -46,13 +50,17 @@ def measure(monkeypatch):
 
     def measured(seed, error, fluid=None):
         goal = SimpleNamespace(name="viscosity", scale=1.0, flow=SimpleNamespace(rate=0.25))
-        boxes = experiment.Bench(None, goal, 3.0, SimpleNamespace(position=np.zeros((2, 10, 3))), None, dt=0.01)
+        boxes = experiment.Bench(
+            None, goal, 3.0, SimpleNamespace(position=np.zeros((2, 10, 3))), None, dt=0.01
+        )
         boxes.stress = Stress(seed)
         return experiment.measure(boxes, fluid, error, 0.0, 10**12, lambda text: None)
 
     monkeypatch.setattr(experiment, "_extend", extended)
     monkeypatch.setattr(experiment, "check_dt", lambda *_: None)
-    monkeypatch.setattr(experiment, "thermal_time", lambda fluid: 0.01 * experiment.PIECE.every * THERMAL)
+    monkeypatch.setattr(
+        experiment, "thermal_time", lambda fluid: 0.01 * experiment.PIECE.every * THERMAL
+    )
     monkeypatch.setattr(experiment, "_check_dt", lambda *_: None)
     return measured
 
@@ -66,7 +74,9 @@ def test_stated_errors_cover(measure):
     assert abs(deviations.mean()) < 3 / np.sqrt(800)
     assert all(run.estimate.error <= error for run in runs)
     pieces = np.mean([run.series.shape[1] / experiment.PIECE.frames for run in runs])
-    assert pieces < 75, "honest, and not much longer than needed: 43 pieces where the error is known"
+    assert pieces < 75, (
+        "honest, and not much longer than needed: 43 pieces where the error is known"
+    )
 
 
 def test_length_is_planned():
@@ -79,7 +89,13 @@ def test_length_is_planned():
 def test_warm_flows_are_told(measure, monkeypatch):
     """6 % above kT was an answer without a word."""
     extended = experiment._extend
-    warm = lambda bench, fluid, dt: extended(bench, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
+    warm = lambda bench, fluid, dt: (
+        extended(bench, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
+    )
     monkeypatch.setattr(experiment, "_extend", warm)
-    with pytest.warns(UserWarning, match="viscosity was measured 6 % above kT, with shear rate 0.25 and dt 0.01: give a smaller"):
+    with pytest.warns(
+        UserWarning,
+        match="viscosity was measured 6 % above kT, with shear rate 0.25 and dt 0.01: give a "
+        "smaller",
+    ):
         measure(0, 1.0, SimpleNamespace(kT=0.1))

@@ -15,7 +15,10 @@ DT, FLOW = 0.01, dpd.shear(1.0)
 
 
 def same_bits(a, b):
-    return all(jnp.array_equal(getattr(a, name), getattr(b, name)) for name in ("position", "velocity", "force", "image"))
+    return all(
+        jnp.array_equal(getattr(a, name), getattr(b, name))
+        for name in ("position", "velocity", "force", "image")
+    )
 
 
 def agree(box, a, b):
@@ -73,9 +76,13 @@ def test_companions_in_a_batch_are_bitwise_invisible(batch):
     keys = [jax.random.key(k) for k in range(3)]
     first, second = batch([1.0, 1.0], keys[:2]), batch([1.0, 25.0], keys[::2])
     rebuilt = ~jnp.all(
-        first.final.neighbours[0].list.reference_position == second.final.neighbours[0].list.reference_position, axis=(1, 2)
+        first.final.neighbours[0].list.reference_position
+        == second.final.neighbours[0].list.reference_position,
+        axis=(1, 2),
     )
-    assert rebuilt.tolist() == [False, True], "the hot companion forces rebuilds that the first member does not take"
+    assert rebuilt.tolist() == [False, True], (
+        "the hot companion forces rebuilds that the first member does not take"
+    )
     member = lambda run: jax.tree.map(lambda leaf: leaf[0], run.final)
     assert same_bits(member(first), member(second))
     assert not same_bits(member(first), jax.tree.map(lambda leaf: leaf[1], first.final))
@@ -90,22 +97,32 @@ def test_batch_agrees_with_its_members_run_alone(batch, run, water, simulate, sh
 
 
 def test_skin_is_invisible_to_rounding(run, sheared_water, ten):
-    """The wider list of this box is built from all pairs, so cells are compared with all pairs too."""
+    """The wider list of this box is built from all pairs, so cells are compared with all pairs
+    too."""
     state = sheared_water
     wide = lists.plan_grid(state.n, state.box.lengths, 1.0, 0.4)
     assert wide.cells is None
-    wider = dataclasses.replace(state, neighbours=(lists.allocate(wide, state.box, state.position),))
+    wider = dataclasses.replace(
+        state, neighbours=(lists.allocate(wide, state.box, state.position),)
+    )
     agree(state.box, run(ten).final, run(ten, wider).final)
 
 
 def test_order_of_beads_is_invisible_to_rounding(run, sheared_water, ten):
     state, order = sheared_water, jax.random.permutation(jax.random.key(5), sheared_water.n)
-    beads = {name: getattr(state, name)[order] for name in ("position", "velocity", "force", "image", "id", "species")}
+    beads = {
+        name: getattr(state, name)[order]
+        for name in ("position", "velocity", "force", "image", "id", "species")
+    }
     shuffled = dataclasses.replace(state, **beads)
     grid = state.neighbours[0].grid
-    shuffled = dataclasses.replace(shuffled, neighbours=(lists.allocate(grid, state.box, shuffled.position),))
+    shuffled = dataclasses.replace(
+        shuffled, neighbours=(lists.allocate(grid, state.box, shuffled.position),)
+    )
     straight = run(ten).final
-    straight = dataclasses.replace(straight, position=straight.position[order], velocity=straight.velocity[order])
+    straight = dataclasses.replace(
+        straight, position=straight.position[order], velocity=straight.velocity[order]
+    )
     agree(state.box, straight, run(ten, shuffled).final)
 
 
@@ -113,7 +130,9 @@ def test_origin_of_a_sheared_box_is_invisible_to_rounding(run, sheared_water, te
     state = sheared_water
     position, _ = boxes.wrap(state.box, state.position + jnp.array([[0.7, 1.9, -3.1]]))
     moved = dataclasses.replace(state, position=position)
-    moved = dataclasses.replace(moved, neighbours=(lists.allocate(state.neighbours[0].grid, state.box, position),))
+    moved = dataclasses.replace(
+        moved, neighbours=(lists.allocate(state.neighbours[0].grid, state.box, position),)
+    )
     np.testing.assert_allclose(run(ten, moved).final.velocity, run(ten).final.velocity, atol=1e-10)
 
 

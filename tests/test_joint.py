@@ -1,4 +1,5 @@
-"""Several parameters for several numbers: the descent finds the crossing, with an honest error bar."""
+"""Several parameters for several numbers: the descent finds the crossing, with an honest error
+bar."""
 
 import math
 from types import SimpleNamespace
@@ -30,17 +31,28 @@ def synthetic(monkeypatch, seed=0):
 
     def prepare(fluid, goal, key, *, density, side, boxes, dt=None, report=None):
         keys = jax.random.split(key, boxes)
-        return SimpleNamespace(goal=goal, keys=keys, steps=0, state=SimpleNamespace(position=np.zeros((boxes, 10, 3))))
+        return SimpleNamespace(
+            goal=goal, keys=keys, steps=0, state=SimpleNamespace(position=np.zeros((boxes, 10, 3)))
+        )
 
     def measure(bench, fluid, error, settle, most, report):
         bench.steps += 1
-        return SimpleNamespace(estimate=Estimate(exact(fluid)[bench.goal.name] + error * rng.normal(), error))
+        return SimpleNamespace(
+            estimate=Estimate(exact(fluid)[bench.goal.name] + error * rng.normal(), error)
+        )
 
     def measure_slopes(bench, fluid, names, windows):
         value = exact(fluid)[bench.goal.name]
-        return [Estimate(value * powers[bench.goal.name][n] * (1 + 0.1 * rng.normal()), 0.1 * value) for n in names]
+        return [
+            Estimate(value * powers[bench.goal.name][n] * (1 + 0.1 * rng.normal()), 0.1 * value)
+            for n in names
+        ]
 
-    for name, function in (("prepare", prepare), ("measure", measure), ("measure_slopes", measure_slopes)):
+    for name, function in (
+        ("prepare", prepare),
+        ("measure", measure),
+        ("measure_slopes", measure_slopes),
+    ):
         monkeypatch.setattr(experiment, name, function)
 
 
@@ -58,7 +70,9 @@ def test_two_parameters_reach_two_targets(water, key, monkeypatch):
 def test_any_optax_optimiser_serves(water, key, monkeypatch):
     synthetic(monkeypatch)
     monkeypatch.setattr("dpdjax.calibration.calibrate.MAX_POINTS", 60)
-    fit = dpd.calibrate(water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key, optimiser=optax.adam(0.1))
+    fit = dpd.calibrate(
+        water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key, optimiser=optax.adam(0.1)
+    )
     assert fit.estimates["gamma"].deviation(GAMMA) < 4
 
 

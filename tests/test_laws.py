@@ -18,7 +18,13 @@ def pair(r, speed=0.0, species=(0, 0)):
     box = boxes.box(3.0)
     position = jnp.array([[0.1, 1.0, 1.0], [3.1 - r, 1.0, 1.0]])
     velocity = jnp.array([[speed, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    return assemble(box, position, velocity, jnp.asarray(species, jnp.int32), (plan_grid(2, box.lengths, 1.0, 0.1),))
+    return assemble(
+        box,
+        position,
+        velocity,
+        jnp.asarray(species, jnp.int32),
+        (plan_grid(2, box.lengths, 1.0, 0.1),),
+    )
 
 
 def force_on_first(fluid, state):
@@ -33,7 +39,9 @@ def test_soft_repulsion_has_the_force_of_groot_and_warren():
 
 
 def test_central_drag_is_gamma_times_the_weight_squared():
-    np.testing.assert_allclose(dpd.central_drag(R, gamma=4.5, r_c=1.2), 4.5 * (1 - R / 1.2) ** 2, rtol=1e-13)
+    np.testing.assert_allclose(
+        dpd.central_drag(R, gamma=4.5, r_c=1.2), 4.5 * (1 - R / 1.2) ** 2, rtol=1e-13
+    )
 
 
 def test_power_drag_of_exponent_two_is_central_drag():
@@ -54,7 +62,9 @@ def test_engine_force_is_minus_the_slope_of_the_energy():
 def test_drag_opposes_the_relative_velocity_and_sets_the_noise():
     drag = dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=0.0)
     zeta = 4.5 * 0.6**2
-    np.testing.assert_allclose(force_on_first(drag, pair(0.4, 2.0))[0], [-2.0 * zeta, 0.0, 0.0], atol=1e-13)
+    np.testing.assert_allclose(
+        force_on_first(drag, pair(0.4, 2.0))[0], [-2.0 * zeta, 0.0, 0.0], atol=1e-13
+    )
     noise = [force_on_first(drag.set(kT=kT), pair(0.4))[0][0] for kT in (1.0, 4.0)]
     np.testing.assert_allclose(noise[1], 2 * noise[0])
     assert 0 < abs(noise[0]) <= np.sqrt(3 * 2 * zeta / 0.01)
@@ -63,7 +73,9 @@ def test_drag_opposes_the_relative_velocity_and_sets_the_noise():
 def test_two_drags_have_the_noise_of_their_sum():
     term = lambda gamma: dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)
     both, one = dpd.fluid(drag=[term(1.5), term(3.0)], kT=1.0), dpd.fluid(drag=[term(4.5)], kT=1.0)
-    np.testing.assert_allclose(force_on_first(both, pair(0.4))[0], force_on_first(one, pair(0.4))[0])
+    np.testing.assert_allclose(
+        force_on_first(both, pair(0.4))[0], force_on_first(one, pair(0.4))[0]
+    )
 
 
 def test_laws_end_at_their_reach():
@@ -87,7 +99,9 @@ def quartic(h, *, k, width):
 
 def test_a_law_of_a_user_runs_and_differentiates(key):
     fluid = dpd.fluid(
-        [dpd.term(quartic, k=25.0, width=1.0, reach=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0
+        [dpd.term(quartic, k=25.0, width=1.0, reach=1.0)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
     )
     state = dpd.initial_state(fluid, key, box=2.8, density=3.0, skin=0.2)
 
@@ -103,10 +117,14 @@ def test_a_law_of_a_user_runs_and_differentiates(key):
 def test_float32_water_has_the_right_temperature():
     with jax.enable_x64(False):
         water = dpd.fluid(
-            [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0
+            [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+            [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+            kT=1.0,
         )
         state = dpd.initial_state(water, jax.random.key(1), box=4.2, density=3.0, skin=0.2)
-        run = jax.jit(dpd.simulate, static_argnames="plan")(water, state, jax.random.key(2), 0.01, dpd.Plan(400, 4))
+        run = jax.jit(dpd.simulate, static_argnames="plan")(
+            water, state, jax.random.key(2), 0.01, dpd.Plan(400, 4)
+        )
         assert run.final.position.dtype == run.frames["temperature"].dtype == jnp.float32
         assert run.final.status == 0
         assert abs(np.mean(run.frames["temperature"][100:]) - 1) < 0.05

@@ -18,7 +18,9 @@ from dpdjax.measure.needs import warn_of_drift
 def memory(rng, shape, kept=0.8):
     """A stationary series that remembers five frames."""
     start = rng.normal(size=(*shape[:-1], 1))
-    return lfilter([1], [1, -kept], np.sqrt(1 - kept**2) * rng.normal(size=shape), zi=kept * start)[0]
+    return lfilter([1], [1, -kept], np.sqrt(1 - kept**2) * rng.normal(size=shape), zi=kept * start)[
+        0
+    ]
 
 
 @pytest.mark.parametrize("shape", [(400,), (3, 150)])
@@ -43,7 +45,9 @@ def test_a_drifting_series_is_told(frames):
 def test_a_start_up_is_told(water, fresh, key):
     """From a random start, 10 frames gave a viscosity of 2.7 where 0.85 is right."""
     run = dpd.run(water, fresh, key, 0.01, dpd.Plan(10, 10), dpd.shear(0.3), progress=False)
-    with pytest.warns(UserWarning, match="not stationary: its (temperature|potential_energy|viscosity)"):
+    with pytest.warns(
+        UserWarning, match="not stationary: its (temperature|potential_energy|viscosity)"
+    ):
         dpd.shear_viscosity(run)
 
 
@@ -55,30 +59,40 @@ def synthetic(fluid, state, flow, **frames):
 def test_equilibrium_viscosities_refuse_driven_runs(water, fresh):
     """Sheared at 0.3 they answered 1.73 and 2.90 where 0.85 is right."""
     rng = np.random.default_rng(2)
-    tensors = {name: rng.normal(size=(200, 3, 3)) for name in ("flux", "reversed_flux", "flux_integral")}
+    tensors = {
+        name: rng.normal(size=(200, 3, 3)) for name in ("flux", "reversed_flux", "flux_integral")
+    }
     frames = tensors | {"instantaneous_viscosity": np.ones(200), "temperature": np.ones(200)}
     measures = {
         "Green-Kubo": lambda run: dpd.green_kubo(run, window=0.05),
         "Einstein-Helfand": lambda run: dpd.einstein_helfand(run, window=0.05),
     }
     driven = [(dpd.shear(0.3), "sheared"), (dpd.oscillatory_shear(0.1, 3.0), "sheared")]
-    driven += [(dpd.drive(1.0, species=0), "a force drove"), (dpd.sinusoidal_force(0.1, 4.2), "a force drove")]
+    driven += [
+        (dpd.drive(1.0, species=0), "a force drove"),
+        (dpd.sinusoidal_force(0.1, 4.2), "a force drove"),
+    ]
     for name, measure in measures.items():
         for flow, why in driven:
-            with pytest.raises(ValueError, match=f"{name} viscosity is of a fluid in equilibrium, and .*{why}"):
+            with pytest.raises(
+                ValueError, match=f"{name} viscosity is of a fluid in equilibrium, and .*{why}"
+            ):
                 measure(synthetic(water, fresh, flow, **frames))
         assert np.isfinite(measure(synthetic(water, fresh, dpd.shear(0.0), **frames)).value)
 
 
 @pytest.mark.parametrize("batch", [False, True])
 def test_displacements_in_a_tilted_box_are_those_of_the_lattice(fresh, batch):
-    """A box left at a strain of 0.4 had a bead that left it by the top come back 0.4 of its height off."""
+    """A box left at a strain of 0.4 had a bead that left it by the top come back 0.4 of its height
+    off."""
     state = dataclasses.replace(fresh, box=fresh.box.strained(0.4))
     moved = state.position + jnp.asarray([[1.3, 7.0, -9.0]])
     position, crossed = wrap(state.box, moved)
     state = dataclasses.replace(state, position=position, image=state.image + crossed)
     state = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state) if batch else state
-    np.testing.assert_allclose(state.unwrapped, np.broadcast_to(moved, state.position.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        state.unwrapped, np.broadcast_to(moved, state.position.shape), atol=1e-12
+    )
 
 
 def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
@@ -87,12 +101,21 @@ def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
     lengths, steps = np.asarray(fresh.box.lengths), 1e-3 * rng.normal(size=(40, fresh.n, 3))
     walk = np.asarray(fresh.position, float) + np.cumsum(steps, axis=0)
     turns = np.floor(walk / lengths)
-    frames = {"position": (walk - turns * lengths).astype(np.float32), "image": turns.astype(np.int32), "strain": np.zeros(40)}
+    frames = {
+        "position": (walk - turns * lengths).astype(np.float32),
+        "image": turns.astype(np.int32),
+        "strain": np.zeros(40),
+    }
     measured = {}
     for far in (0, 100_000):
         image = frames["image"] + far
         unwrapped = (frames["position"] + image * lengths.astype(np.float32)).astype(np.float32)
-        record = frames | {"time": np.arange(40.0), "step": np.arange(40), "image": image, "unwrapped": unwrapped}
+        record = frames | {
+            "time": np.arange(40.0),
+            "step": np.arange(40),
+            "image": image,
+            "unwrapped": unwrapped,
+        }
         run = dpd.Trajectory(fresh, record, ideal, quiet(), 1.0)
         measured[far] = dpd.mean_squared_displacement(run, t_max=4.0).value
     np.testing.assert_allclose(measured[100_000], measured[0], rtol=1e-9, atol=1e-15)
@@ -101,10 +124,16 @@ def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
 
 def test_what_is_no_run_is_told(fresh, water):
     for given in ({"frames": 1}, fresh, water):
-        for measure in (dpd.shear_viscosity, dpd.mean_squared_displacement, dpd.radial_distribution):
+        for measure in (
+            dpd.shear_viscosity,
+            dpd.mean_squared_displacement,
+            dpd.radial_distribution,
+        ):
             if measure is dpd.radial_distribution and given is not fresh:
                 continue
-            with pytest.raises((TypeError, ValueError), match="this measures a run, and was given a|positions"):
+            with pytest.raises(
+                (TypeError, ValueError), match="this measures a run, and was given a|positions"
+            ):
                 measure(given)
     with pytest.raises(ValueError, match="recorded no frame: it was interrupted"):
         dpd.shear_viscosity(dpd.Trajectory(fresh, {}, water, dpd.shear(0.1), 0.01))
@@ -114,14 +143,18 @@ def test_failed_and_hot_runs_are_told(water, fresh):
     rng = np.random.default_rng(5)
     stress = {"pressure_tensor": rng.normal(size=(200, 3, 3)) - 0.1}
     with pytest.warns(UserWarning, match="the beads were at 5 where kT is 1"):
-        dpd.shear_viscosity(synthetic(water, fresh, dpd.shear(0.1), temperature=np.full(200, 5.0), **stress))
+        dpd.shear_viscosity(
+            synthetic(water, fresh, dpd.shear(0.1), temperature=np.full(200, 5.0), **stress)
+        )
     stress["pressure_tensor"][70] = np.nan
     with pytest.raises(ValueError, match="'pressure_tensor' holds NaN .*survivors"):
         dpd.shear_viscosity(synthetic(water, fresh, dpd.shear(0.1), **stress))
 
 
 def test_a_block_average_refuses_what_it_cannot_average():
-    told = r"shape \(40, 3, 3\); give \(frames,\) or \(replicas, frames\), of a tensor one component"
+    told = (
+        r"shape \(40, 3, 3\); give \(frames,\) or \(replicas, frames\), of a tensor one component"
+    )
     with pytest.raises(ValueError, match=told):
         dpd.block_average(np.ones((40, 3, 3)))
     with pytest.raises(ValueError, match="holds NaN or infinity"):

@@ -82,7 +82,9 @@ def test_noise_around_triangles_is_independent():
 
 def bits(words, i, j):
     """The 23 bits each number is made of, (pairs, 23)."""
-    k = np.round(np.asarray(pair_noise(words, i, j, np.float64)) / 12**0.5 * 2**23 + (2**22 - 0.5)).astype(np.int64)
+    k = np.round(
+        np.asarray(pair_noise(words, i, j, np.float64)) / 12**0.5 * 2**23 + (2**22 - 0.5)
+    ).astype(np.int64)
     return k[:, None] >> np.arange(23) & 1
 
 
@@ -92,7 +94,9 @@ def test_each_bit_of_an_id_and_of_the_step_turns_each_bit_of_the_noise_half_the_
     words = step_words(jax.random.key(0), 3)
     here = bits(words, i, j)
     there = [bits(words, i ^ 1 << b, j) for b in range(20)]
-    there += [bits(words.at[w].set(words[w] ^ np.uint32(1 << b)), i, j) for w in (0, 1) for b in range(32)]
+    there += [
+        bits(words.at[w].set(words[w] ^ np.uint32(1 << b)), i, j) for w in (0, 1) for b in range(32)
+    ]
     turned = np.mean([here != other for other in there], axis=1)
     assert turned.shape == (84, 23)
     assert np.max(np.abs(turned - 0.5)) < 5 * 0.5 / np.sqrt(count)

@@ -43,7 +43,11 @@ def code_cells(notebook):
 
 
 def pictures(notebook):
-    return sum("image/png" in output.get("data", {}) for cell in code_cells(notebook) for output in cell.outputs)
+    return sum(
+        "image/png" in output.get("data", {})
+        for cell in code_cells(notebook)
+        for output in cell.outputs
+    )
 
 
 def test_there_are_notebooks():
@@ -62,7 +66,9 @@ def test_the_committed_one_was_executed_from_top_to_bottom(path):
     cells = code_cells(notebook)
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     outputs = [output for cell in cells for output in cell.outputs]
-    assert not any(output.output_type == "error" or output.get("name") == "stderr" for output in outputs)
+    assert not any(
+        output.output_type == "error" or output.get("name") == "stderr" for output in outputs
+    )
     assert pictures(notebook) > 0
     assert path.stat().st_size < 600_000
 

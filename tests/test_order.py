@@ -24,14 +24,19 @@ OBSERVE = [dpd.mean(dpd.stresses), places]
 
 @pytest.fixture
 def run(monkeypatch, water, key):
-    """``run(state, kept, plan, lasts)``: sheared water with and without sorting, each frame or once."""
+    """``run(state, kept, plan, lasts)``: sheared water with and without sorting, each frame or
+    once."""
 
     def go(state, kept, plan=PLAN, lasts=3):
         monkeypatch.setattr(order, "SMALLEST", 100 if kept else 10**9)
         monkeypatch.setattr(order, "LASTS", lasts)
-        simulate = lambda state, key: dpd.simulate(water, state, key, 0.01, plan, FLOW, observe=OBSERVE)
+        simulate = lambda state, key: dpd.simulate(
+            water, state, key, 0.01, plan, FLOW, observe=OBSERVE
+        )
         simulate = jax.jit(simulate if state.position.ndim == 2 else jax.vmap(simulate))
-        return simulate(state, key if state.position.ndim == 2 else jax.random.split(key, len(state.position)))
+        return simulate(
+            state, key if state.position.ndim == 2 else jax.random.split(key, len(state.position))
+        )
 
     return go
 
@@ -47,7 +52,10 @@ def same_bits(a, b):
 @pytest.mark.parametrize("lasts", [3, 100], ids=["each frame", "once"])
 def test_sorting_is_bitwise_invisible(lasts, run, sheared_water):
     sorted_run, plain = run(sheared_water, True, lasts=lasts), run(sheared_water, False)
-    assert jnp.any(plain.final.neighbours[0].list.reference_position != sheared_water.neighbours[0].list.reference_position)
+    assert jnp.any(
+        plain.final.neighbours[0].list.reference_position
+        != sheared_water.neighbours[0].list.reference_position
+    )
     assert same_bits(sorted_run, plain)
 
 
@@ -61,11 +69,15 @@ def test_cutting_a_sorted_run_is_bitwise_invisible(run, sheared_water):
     for _ in range(2):
         part = run(state, True, dpd.Plan(2, 4))
         state = part.final
-    assert all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(whole.final), jax.tree.leaves(state)))
+    assert all(
+        np.array_equal(x, y) for x, y in zip(jax.tree.leaves(whole.final), jax.tree.leaves(state))
+    )
 
 
 def test_beads_come_back_in_the_order_they_were_given(run, sheared_water):
-    shuffled = order.permuted(sheared_water, jax.random.permutation(jax.random.key(5), sheared_water.n))
+    shuffled = order.permuted(
+        sheared_water, jax.random.permutation(jax.random.key(5), sheared_water.n)
+    )
     ran, straight = run(shuffled, True).final, run(sheared_water, True).final
     assert jnp.array_equal(ran.id, shuffled.id)
     assert jnp.array_equal(ran.position, straight.position[shuffled.id])
@@ -91,7 +103,9 @@ def test_the_sort_by_cell_and_id(n, cells, cpu, monkeypatch):
     expected = np.lexsort((ids, cell))
     got = by_cell._sorted(jnp.asarray(cell, jnp.int32), cells, jnp.asarray(ids, jnp.int32))
     assert np.array_equal(got, expected)
-    assert np.array_equal(by_cell._sorted(jnp.asarray(cell, jnp.int32), cells), np.argsort(cell, kind="stable"))
+    assert np.array_equal(
+        by_cell._sorted(jnp.asarray(cell, jnp.int32), cells), np.argsort(cell, kind="stable")
+    )
 
 
 @pytest.mark.parametrize("value", [jnp.nan, jnp.inf, -1e30])
@@ -104,7 +118,9 @@ def test_beads_that_are_nowhere_are_sorted_all_the_same(value, monkeypatch, shea
 def test_derivatives_of_a_sorted_run(monkeypatch, water, sheared_water, key):
     def speed(gamma, kept):
         monkeypatch.setattr(order, "SMALLEST", 100 if kept else 10**9)
-        final = dpd.simulate(water.set(gamma=gamma), sheared_water, key, 0.01, dpd.Plan(2, 3), FLOW).final
+        final = dpd.simulate(
+            water.set(gamma=gamma), sheared_water, key, 0.01, dpd.Plan(2, 3), FLOW
+        ).final
         return jnp.sum(final.velocity[:7] ** 2)
 
     for derivative in (jax.grad, jax.jacfwd):

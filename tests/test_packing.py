@@ -40,7 +40,9 @@ def gaps(box, position, radius):
 
 
 def is_inside(box, position):
-    return np.all(np.asarray(position) >= 0) and np.all(np.asarray(position) < np.asarray(box.lengths))
+    return np.all(np.asarray(position) >= 0) and np.all(
+        np.asarray(position) < np.asarray(box.lengths)
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,7 +80,9 @@ def test_the_same_key_gives_the_same_bits_and_another_other_spheres(key):
     box = box_for(radius, 0.45, SLAB)
     first, again = (packing.pack(key, box, radius, gap=0.0) for _ in range(2))
     assert jnp.array_equal(first, again)
-    assert jnp.array_equal(first, packing.pack(jax.random.key_data(key), box, jnp.asarray(radius), gap=0.0))
+    assert jnp.array_equal(
+        first, packing.pack(jax.random.key_data(key), box, jnp.asarray(radius), gap=0.0)
+    )
     other = packing.pack(jax.random.key(8), box, radius, gap=0.0)
     assert np.median(np.diag(separations(box, first, other))) > 1.0
 
@@ -92,7 +96,8 @@ def test_a_list_that_overflows_grows_and_changes_nothing(key, monkeypatch):
 
 
 def highest_peak(box, position):
-    """The largest structure factor over the wave vectors of the box, per sphere: 1 for a lattice that fits."""
+    """The largest structure factor over the wave vectors of the box, per sphere: 1 for a lattice
+    that fits."""
     count = np.arange(-8, 9)
     index = np.stack(np.meshgrid(count[8:], count, count), -1).reshape(-1, 3)
     index = index[np.any(index != 0, axis=1)]
@@ -112,11 +117,15 @@ def test_packed_spheres_are_no_lattice(key):
 
 
 def test_packed_spheres_have_about_the_contacts_of_a_liquid():
-    """Pairs near contact, against Carnahan & Starling: random points have none, spheres merely separated too many."""
+    """Pairs near contact, against Carnahan & Starling: random points have none, spheres merely
+    separated too many."""
     n, fraction = 400, 0.45
     radius = spheres(n, 0.0)
     box = box_for(radius, fraction)
-    close = [np.sum(gaps(box, packing.pack(jax.random.key(k), box, radius), radius) < 0.1) for k in range(3)]
+    close = [
+        np.sum(gaps(box, packing.pack(jax.random.key(k), box, radius), radius) < 0.1)
+        for k in range(3)
+    ]
     ideal = n / 2 * fraction * (2.1**3 - 2.0**3)
     assert 0.6 < np.mean(close) / ideal / ((1 - fraction / 2) / (1 - fraction) ** 3) < 1.2
 
@@ -143,13 +152,17 @@ def chi_square(sample, expected):
     expected = expected / expected.sum() * sample.sum()
     enough = expected > 20
     count = enough.sum() - 1
-    return (np.sum((sample - expected)[enough] ** 2 / expected[enough]) - count) / np.sqrt(2 * count)
+    return (np.sum((sample - expected)[enough] ** 2 / expected[enough]) - count) / np.sqrt(
+        2 * count
+    )
 
 
 def test_points_are_uniform_in_the_free_volume(suspension):
     box, centres, radius, points = suspension
     lengths = np.asarray(box.lengths)
-    fine = (np.stack(np.meshgrid(*[np.arange(48)] * 3, indexing="ij"), -1).reshape(-1, 3) + 0.5) / 48
+    fine = (
+        np.stack(np.meshgrid(*[np.arange(48)] * 3, indexing="ij"), -1).reshape(-1, 3) + 0.5
+    ) / 48
     distance = lambda position: np.min(separations(box, position, centres) - radius, axis=1)
     from_points, from_fine = distance(points), distance(fine * lengths)
     free = from_fine > 0
@@ -172,7 +185,9 @@ def test_points_keep_clear_of_spheres_found_through_cells(key):
 def test_points_are_a_function_of_the_key(suspension, key):
     box, centres, radius, points = suspension
     assert jnp.array_equal(packing.fill(key, box, centres, radius, 20_000), points)
-    assert not np.isin(np.asarray(packing.fill(jax.random.key(8), box, centres, radius, 20_000)), points).any()
+    assert not np.isin(
+        np.asarray(packing.fill(jax.random.key(8), box, centres, radius, 20_000)), points
+    ).any()
 
 
 def test_single_precision(key):
@@ -192,13 +207,24 @@ TEN = np.ones(10)
 @pytest.mark.parametrize(
     "sides, radius, gap, message",
     [
-        (5.0, np.ones(25), None, r"fraction 0\.8378 .* not below 0\.6.*use at most 17 such spheres, or sides over 1\.118 times"),
+        (
+            5.0,
+            np.ones(25),
+            None,
+            r"fraction 0\.8378 .* not below 0\.6.*use at most 17 such spheres, or sides over "
+            r"1\.118 times",
+        ),
         (10.0, [1.0, -1.0], None, "radius is .* must be above zero"),
         (10.0, 1.0, None, "one for each sphere"),
         (10.0, np.ones((3, 3)), None, "one for each sphere"),
         (10.0, [], None, "one for each sphere"),
         (10.0, TEN, -0.1, "gap is -0.1; it must not be negative"),
-        (10.0, TEN, 4.5, r"with gaps of 4\.5 fill more than 0\.6 of the box; use a gap below 2\.857"),
+        (
+            10.0,
+            TEN,
+            4.5,
+            r"with gaps of 4\.5 fill more than 0\.6 of the box; use a gap below 2\.857",
+        ),
         ((20.0, 20.0, 4.02), TEN, None, r"side 4\.02 is below 2 \(2 radius \+ gap\) = 4\.04"),
     ],
 )
@@ -229,7 +255,10 @@ def test_points_that_cannot_be_placed(radius, count, clearance, message, key):
 
 def test_spheres_and_points_need_one_key_known_numbers_and_a_box_at_rest(key):
     box, centre, one = boxes.box(10.0), np.zeros((1, 3)), np.ones(1)
-    for place in (lambda key, box: packing.pack(key, box, one), lambda key, box: packing.fill(key, box, centre, one, 5)):
+    for place in (
+        lambda key, box: packing.pack(key, box, one),
+        lambda key, box: packing.fill(key, box, centre, one, 5),
+    ):
         with pytest.raises(TypeError, match="key"):
             place(None, box)
         with pytest.raises(ValueError, match="3 keys where one is wanted"):
@@ -245,7 +274,10 @@ def test_giving_up_says_what_is_left(key, monkeypatch):
     monkeypatch.setattr(packing, "MOST_ROUNDS", 3)
     radius = spheres(24, 0.1)
     box = box_for(radius, 0.3)
-    with pytest.raises(RuntimeError, match=r"fraction 0\.3 is still -.* after 2 sweeps.*smaller gap, or another key"):
+    with pytest.raises(
+        RuntimeError,
+        match=r"fraction 0\.3 is still -.* after 2 sweeps.*smaller gap, or another key",
+    ):
         packing.pack(key, box, radius)
     centres = jax.random.uniform(key, (24, 3)) * box.lengths[None]
     with pytest.raises(RuntimeError, match="of 500 points are still inside spheres after 3 rounds"):

@@ -27,7 +27,8 @@ TILTS = [-0.5, -0.31, -1e-3, 0.0, 0.2, 0.5]
 
 
 def distances(lengths, strain, position):
-    """Nearest-image distances of wrapped positions by trying 45 images of each pair, in plain numpy."""
+    """Nearest-image distances of wrapped positions by trying 45 images of each pair, in plain
+    numpy."""
     lx, ly, lz = lengths
     x, y, z = np.meshgrid(np.arange(-2, 3), np.arange(-1, 2), np.arange(-1, 2))
     images = np.stack([x * lx + y * strain * ly, y * ly, z * lz], -1).reshape(-1, 3)
@@ -59,7 +60,9 @@ def uniform(rng, lengths, n):
 
 def clustered(rng, lengths, n):
     """A third of the beads in each of two blobs, one of them on a corner."""
-    blob = rng.normal(size=(n, 3)) * 0.3 + np.where(np.arange(n)[:, None] % 3 == 0, 0.0, 0.4 * np.asarray(lengths))
+    blob = rng.normal(size=(n, 3)) * 0.3 + np.where(
+        np.arange(n)[:, None] % 3 == 0, 0.0, 0.4 * np.asarray(lengths)
+    )
     return np.where(np.arange(n)[:, None] % 3 == 2, uniform(rng, lengths, n), blob)
 
 
@@ -92,13 +95,21 @@ def test_list_equals_all_pairs(lengths, n, build):
             assert pairs_within(1.15 - 1e-12, true) <= found <= pairs_within(1.15 + 1e-12, true)
 
 
-GROUPS = [((0, 80), (80, 420)), ((0, 340), (340, 420)), ((10, 210), (215, 415)), ((0, 70), (90, 420)), ((0, 3), (3, 420))]
-"""Few and many, many and few, as many of either, with beads left out, and so few that all pairs are tried."""
+GROUPS = [
+    ((0, 80), (80, 420)),
+    ((0, 340), (340, 420)),
+    ((10, 210), (215, 415)),
+    ((0, 70), (90, 420)),
+    ((0, 3), (3, 420)),
+]
+"""Few and many, many and few, as many of either, with beads left out, and so few that all pairs are
+tried."""
 
 
 @pytest.mark.parametrize(
     "lengths, groups",
-    [((5.2, 5.2, 5.2), groups) for groups in GROUPS] + [(box, GROUPS[0]) for box in ((5.4, 9.0, 4.9), (3.9, 4.0, 9.0))],
+    [((5.2, 5.2, 5.2), groups) for groups in GROUPS]
+    + [(box, GROUPS[0]) for box in ((5.4, 9.0, 4.9), (3.9, 4.0, 9.0))],
     ids=str,
 )
 def test_list_between_two_groups_equals_all_pairs(lengths, groups, build):
@@ -117,7 +128,9 @@ def test_list_between_two_groups_equals_all_pairs(lengths, groups, build):
             assert not any(overflow)
             true = distances(lengths, float(box.strain), position)
             true[~(first[:, None] & second[None, :])] = np.inf
-            assert pairs_within(cut - 1e-12, true) <= listed(idx, n) <= pairs_within(cut + 1e-12, true)
+            assert (
+                pairs_within(cut - 1e-12, true) <= listed(idx, n) <= pairs_within(cut + 1e-12, true)
+            )
 
 
 @pytest.mark.parametrize("groups", GROUPS[:2], ids=str)
@@ -142,9 +155,13 @@ def test_a_list_between_groups_lasts_while_neither_moves_too_far():
     old = lists.allocate(grid, box, position)
     moved = lambda bead, by: position.at[bead, 1].add(by)
     for by, stale in (
-        (moved(3, 0.19), False), (moved(3, 0.21), True), (moved(90, 0.21), True), (moved(299, 3.0), False),
-        (moved(3, 0.11).at[90, 0].add(0.11), True), (moved(3, 0.11).at[4, 0].add(0.11), False),
-    ):  # fmt: skip
+        (moved(3, 0.19), False),
+        (moved(3, 0.21), True),
+        (moved(90, 0.21), True),
+        (moved(299, 3.0), False),
+        (moved(3, 0.11).at[90, 0].add(0.11), True),
+        (moved(3, 0.11).at[4, 0].add(0.11), False),
+    ):
         assert jax.jit(lists.is_stale)(old, box, by) == stale
 
 
@@ -162,7 +179,9 @@ def test_lists_between_groups_in_a_batch_and_in_a_gradient():
 
     def spread(position):
         i, j = lists.update(old, box, position).list.idx
-        d = boxes.displacement(box, position[jnp.minimum(i, n - 1)], position[jnp.minimum(j, n - 1)])
+        d = boxes.displacement(
+            box, position[jnp.minimum(i, n - 1)], position[jnp.minimum(j, n - 1)]
+        )
         return jnp.sum(jnp.where(i < n, 1.4**2 - jnp.sum(d * d, axis=1), 0.0))
 
     push = jnp.asarray(np.random.default_rng(3).normal(size=(n, 3)))
@@ -256,11 +275,15 @@ def watch(fluid, state):
 
 @pytest.mark.parametrize("kT", [1.0, 25.0])
 def test_no_pair_is_missed_in_fast_shear(kT, water, sheared_water, simulate, key):
-    run = simulate(water.set(kT=kT), sheared_water, key, 0.01, dpd.Plan(150), dpd.shear(2.5), observe=watch)
+    run = simulate(
+        water.set(kT=kT), sheared_water, key, 0.01, dpd.Plan(150), dpd.shear(2.5), observe=watch
+    )
     seen = jax.tree.map(np.asarray, run.frames)
     assert run.final.status == 0
     assert np.sum(np.abs(np.diff(seen["strain"])) > 0.5) >= 3, "the strain wraps several times"
-    assert np.any(np.all(seen["built_at"][1:] == seen["built_at"][:-1], axis=(1, 2))), "lists are reused"
+    assert np.any(np.all(seen["built_at"][1:] == seen["built_at"][:-1], axis=(1, 2))), (
+        "lists are reused"
+    )
     lengths = np.asarray(run.final.box.lengths)
     for f in range(0, 150, 5):
         close = pairs_within(1.0, distances(lengths, seen["strain"][f], seen["position"][f]))
@@ -333,7 +356,8 @@ BUILDS = "population_count"
 
 
 def guards_a_build(eqn):
-    """Whether an equation decides, with one flag, if a list is built; a batched flag would be none."""
+    """Whether an equation decides, with one flag, if a list is built; a batched flag would be
+    none."""
     # On a CPU the builder's own stages are branches too, but only what decides is a loop.
     if eqn.primitive.name not in (("while",) if on_cpu() else ("cond", "while")):
         return False
@@ -351,10 +375,18 @@ def test_list_updates_stay_a_branch_under_vmap(batches, water, quiet_water, key)
         run, keys = jax.vmap(run, (None, 0)), jax.random.split(key, 3)
     if batches > 1:
         run, gamma = jax.vmap(run, (0, None)), jnp.array([2.0, 4.5])
-    scans = [e for e in equations(jax.make_jaxpr(run)(gamma, keys).jaxpr) if e.primitive.name == "scan"]
+    scans = [
+        e for e in equations(jax.make_jaxpr(run)(gamma, keys).jaxpr) if e.primitive.name == "scan"
+    ]
     frames = next(scan for scan in scans if scan.params["length"] == 2)
     work = list(equations(frames.params["jaxpr"].jaxpr))
     guarded = [g for g in work if guards_a_build(g)]
     assert guarded
-    inside = {id(e) for g in guarded for value in g.params.values() for one in inner(value) for e in equations(one)}
+    inside = {
+        id(e)
+        for g in guarded
+        for value in g.params.values()
+        for one in inner(value)
+        for e in equations(one)
+    }
     assert all(id(e) in inside for e in work if e.primitive.name == BUILDS)

@@ -8,7 +8,9 @@ import pytest
 
 import dpdjax as dpd
 
-needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="plots are an extra")
+needs_matplotlib = pytest.mark.skipif(
+    not importlib.util.find_spec("matplotlib"), reason="plots are an extra"
+)
 
 
 @needs_matplotlib

@@ -37,7 +37,8 @@ SMALLER = {
     "Plan(20, 200)": "Plan(2, 10)",
     "Plan(2000, 20)": "Plan(60, 2)",
     "fit=(15.0, 20.0)": "fit=(0.003, 0.007)",
-    "dpd.hydrodynamic_radius([10.0], [D]": "dpd.hydrodynamic_radius([10.0], [dpd.Estimate(0.005, D.error)]",
+    "dpd.hydrodynamic_radius([10.0], [D]": "dpd.hydrodynamic_radius([10.0], [dpd.Estimate(0.005, "
+    "D.error)]",
 }
 """The same lines at a size that suits a test."""
 
@@ -82,6 +83,10 @@ def test_rooms_exist(room):
 
 
 def test_help_is_quick_to_import():
-    code = "import sys\nfrom dpdjax.cli import _parser\n_parser().format_help()\nprint(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    code = (
+        "import sys\nfrom dpdjax.cli import _parser\n_parser().format_help()\nprint(*sys.modules)"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
     assert not {"jax", "jax_md", "matplotlib", "tqdm"} & set(loaded)

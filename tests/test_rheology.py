@@ -1,4 +1,5 @@
-"""Oscillatory shear: the strain it imposes, the clock it follows, and the moduli that are read off."""
+"""Oscillatory shear: the strain it imposes, the clock it follows, and the moduli that are read
+off."""
 
 from types import SimpleNamespace
 
@@ -22,7 +23,9 @@ def test_strain_of_all_steps_adds_up_to_a_sine():
 
 def test_rate_is_the_slope_of_the_strain():
     time = np.linspace(0.0, 7.0, 50)
-    np.testing.assert_allclose(FLOW.rate_at(time), FLOW.strain_in(time - 1e-5, 2e-5) / 2e-5, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        FLOW.rate_at(time), FLOW.strain_in(time - 1e-5, 2e-5) / 2e-5, rtol=1e-8, atol=1e-8
+    )
     assert float(FLOW.rate) == pytest.approx(float(np.max(FLOW.rate_at(np.linspace(0, 7, 10_001)))))
     steady = dpd.shear(0.3)
     assert steady.rate_at(5.0) == 0.3 and steady.strain_in(5.0, DT) == pytest.approx(0.3 * DT)
@@ -32,7 +35,9 @@ def test_strain_of_a_small_step_is_right_in_single_precision():
     """A difference of two sines would lose four digits."""
     time = np.linspace(0.1, 1.0, 20)
     with jax.enable_x64(False):
-        single = dpd.oscillatory_shear(1.0, 1.0).strain_in(jnp.asarray(time, jnp.float32), jnp.float32(1e-3))
+        single = dpd.oscillatory_shear(1.0, 1.0).strain_in(
+            jnp.asarray(time, jnp.float32), jnp.float32(1e-3)
+        )
     assert single.dtype == jnp.float32
     np.testing.assert_allclose(single, 2 * np.sin(5e-4) * np.cos(time + 5e-4), rtol=1e-6)
 
@@ -56,7 +61,11 @@ def trajectory(stress, time, every=EVERY, flow=FLOW, fluid=WATER, dt=DT):
     pressure = -np.asarray(stress)[..., None, None] * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
     time = np.broadcast_to(time, np.shape(stress))
     return SimpleNamespace(
-        frames={"time": time, "pressure_tensor": pressure}, flow=flow, fluid=fluid, every=every, interval=np.asarray(dt) * every
+        frames={"time": time, "pressure_tensor": pressure},
+        flow=flow,
+        fluid=fluid,
+        every=every,
+        interval=np.asarray(dt) * every,
     )
 
 
@@ -93,7 +102,10 @@ def test_moduli_of_noisy_replicas_have_honest_errors():
         noisy = maxwell(time).mean(1) + rng.normal(size=(3, len(time)))
         found = dpd.moduli(trajectory(noisy, time[:, -1]))
         assert found.cycles.shape == (3 * (CYCLES - 1), 2)
-        off += [(e.value - exact) / e.error for e, exact in ((found.storage, STORAGE), (found.loss, LOSS))]
+        off += [
+            (e.value - exact) / e.error
+            for e, exact in ((found.storage, STORAGE), (found.loss, LOSS))
+        ]
     assert abs(np.mean(off)) < 4 / np.sqrt(len(off)) and 0.75 < np.std(off) < 1.3
 
 
@@ -114,15 +126,45 @@ def scan(**how):
     [
         (lambda: scan(flow=dpd.shear(0.2)), r"flow=dpd.oscillatory_shear\(amplitude, frequency\)"),
         (lambda: scan(flow=quiet()), "oscillatory_shear"),
-        (lambda: scan(flow=dpd.oscillatory_shear(jnp.array([0.1, 0.2]), 1.0)), "differ in amplitude; .*members"),
-        (lambda: scan(flow=dpd.oscillatory_shear(0.1, jnp.array([1.0, 2.0]))), "differ in frequency"),
+        (
+            lambda: scan(flow=dpd.oscillatory_shear(jnp.array([0.1, 0.2]), 1.0)),
+            "differ in amplitude; .*members",
+        ),
+        (
+            lambda: scan(flow=dpd.oscillatory_shear(0.1, jnp.array([1.0, 2.0]))),
+            "differ in frequency",
+        ),
         (lambda: scan(fluid=WATER.set(gamma=jnp.array([1.0, 2.0]))), "differ in gamma"),
-        (lambda: trajectory(np.zeros((2, 99)), DT * np.outer([1, 2], np.arange(99)), dt=[DT, 2 * DT]), "differ in dt"),
-        (lambda: trajectory(np.zeros((2, 99)), DT * (np.arange(99) + np.array([[0], [1]]))), "at different times"),
-        (lambda: means(every=70), "6.9 frames in a cycle are too few; record at least 8, with every=60"),
-        (lambda: means(cycles=2), "1 whole cycles after the first 1 give no error bar; run at least 3"),
+        (
+            lambda: trajectory(
+                np.zeros((2, 99)), DT * np.outer([1, 2], np.arange(99)), dt=[DT, 2 * DT]
+            ),
+            "differ in dt",
+        ),
+        (
+            lambda: trajectory(np.zeros((2, 99)), DT * (np.arange(99) + np.array([[0], [1]]))),
+            "at different times",
+        ),
+        (
+            lambda: means(every=70),
+            "6.9 frames in a cycle are too few; record at least 8, with every=60",
+        ),
+        (
+            lambda: means(cycles=2),
+            "1 whole cycles after the first 1 give no error bar; run at least 3",
+        ),
     ],
-    ids=["steady", "quiet", "amplitudes", "frequencies", "fluids", "steps", "starts", "sparse", "short"],
+    ids=[
+        "steady",
+        "quiet",
+        "amplitudes",
+        "frequencies",
+        "fluids",
+        "steps",
+        "starts",
+        "sparse",
+        "short",
+    ],
 )
 def test_runs_that_tell_no_moduli(run, message):
     with pytest.raises(ValueError, match=message):
@@ -172,7 +214,16 @@ def test_a_run_knows_its_means(water_in_oscillation, water, fresh, key):
     keys, frequency = jax.random.split(key, 2), jnp.array([SLOW, 2 * SLOW])
     flow = dpd.oscillatory_shear(AMPLITUDE, frequency)
     observe = [dpd.mean(dpd.momentum), dpd.stresses]
-    scan = dpd.run(water.set(kT=jnp.array([1.0, 2.0])), fresh, keys, DT, dpd.Plan(2, 2), flow, observe=observe, progress=False)
+    scan = dpd.run(
+        water.set(kT=jnp.array([1.0, 2.0])),
+        fresh,
+        keys,
+        DT,
+        dpd.Plan(2, 2),
+        flow,
+        observe=observe,
+        progress=False,
+    )
     assert [m.means for m in scan.members()] == [("momentum",), ("momentum",)]
     assert dpd.simulate(water, fresh, key, DT, dpd.Plan(1), observe=observe).means == ("momentum",)
 

@@ -46,7 +46,9 @@ def sixty(run, state):
 
 
 def same_bits(a, b):
-    return all(jnp.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+    return all(
+        jnp.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    )
 
 
 def moved(state):
@@ -77,13 +79,20 @@ def test_chunks_hold_a_million_particle_steps_or_fifty_steps(monkeypatch):
     assert chunk_frames(dpd.Plan(5, 50), 100_000) == 1
 
 
-def test_other_plans_are_the_same_program_and_the_same_run(monkeypatch, run, water, state, key, sixty):
+def test_other_plans_are_the_same_program_and_the_same_run(
+    monkeypatch, run, water, state, key, sixty
+):
     compiled = chunk._compiled._cache_size()
     monkeypatch.setattr(host, "chunk_frames", lambda plan, beads: 25)
-    seldom, often = (dpd.run(water, state, key, DT, dpd.Plan(*n), FLOW, progress=False) for n in ((3, 20), (60, 1)))
+    seldom, often = (
+        dpd.run(water, state, key, DT, dpd.Plan(*n), FLOW, progress=False)
+        for n in ((3, 20), (60, 1))
+    )
     assert same_bits(seldom.frames, {name: values[3::4] for name, values in sixty.frames.items()})
     assert same_bits({name: values[4::5] for name, values in often.frames.items()}, sixty.frames)
-    assert same_bits(moved(seldom.final), moved(often.final)) and same_bits(moved(often.final), moved(sixty.final))
+    assert same_bits(moved(seldom.final), moved(often.final)) and same_bits(
+        moved(often.final), moved(sixty.final)
+    )
     assert chunk._compiled._cache_size() == compiled
 
 
@@ -129,9 +138,14 @@ def disturbed(monkeypatch, third):
 
 
 def test_nan_is_an_error_that_keeps_the_frames_before(run, state, sixty, monkeypatch):
-    disturbed(monkeypatch, lambda state: dataclasses.replace(state, velocity=state.velocity.at[3, 0].set(jnp.nan)))
+    disturbed(
+        monkeypatch,
+        lambda state: dataclasses.replace(state, velocity=state.velocity.at[3, 0].set(jnp.nan)),
+    )
     first = int(state.step) + 4 * PIECE.every
-    with pytest.raises(dpd.RunError, match=f"between steps {first} and {first + 10}: .* NaN .* smaller dt") as raised:
+    with pytest.raises(
+        dpd.RunError, match=f"between steps {first} and {first + 10}: .* NaN .* smaller dt"
+    ) as raised:
         run(state, 12)
     kept = raised.value.trajectory
     assert not kept.complete and kept.final.step == first
@@ -186,14 +200,20 @@ def test_scan_over_gamma(run, water, state, sixty, key):
 
 def test_keys_must_match_the_members(run, water, state, key):
     batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
-    with pytest.raises(ValueError, match=r"the state is a batch of 2; give 2 keys: jax.random.split\(key, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"the state is a batch of 2; give 2 keys: jax.random.split\(key, 2\)"
+    ):
         run(batch, 2)
     with pytest.raises(ValueError, match="3 keys for a batch of 2 states"):
         run(batch, 2, key=jax.random.split(key, 3))
     three = water.set(gamma=jnp.array([2.0, 4.5, 9.0]))
-    with pytest.raises(ValueError, match=r"numbers for 3 members and keys of shape \(\): give 3 keys"):
+    with pytest.raises(
+        ValueError, match=r"numbers for 3 members and keys of shape \(\): give 3 keys"
+    ):
         run(state, 2, fluid=three)
-    with pytest.raises(ValueError, match=r"numbers for 3 members and keys of shape \(2,\): give 3 keys"):
+    with pytest.raises(
+        ValueError, match=r"numbers for 3 members and keys of shape \(2,\): give 3 keys"
+    ):
         run(batch, 2, fluid=three, key=jax.random.split(key))
 
 
@@ -217,17 +237,23 @@ def test_file_that_is_no_state(tmp_path, state):
     (tmp_path / "text").write_text("hello")
     (tmp_path / "empty").touch()
     for name in ("array.npy", "arrays.npz", "text", "empty"):
-        with pytest.raises(ValueError, match=f"{name} is not a dpdjax state; write one with dpd.save_state"):
+        with pytest.raises(
+            ValueError, match=f"{name} is not a dpdjax state; write one with dpd.save_state"
+        ):
             dpd.load_state(tmp_path / name)
     with pytest.raises(FileNotFoundError):
         dpd.load_state(tmp_path / "nowhere.npz")
     np.savez(tmp_path / "future.npz", meta='{"format": 99, "grids": []}')
-    with pytest.raises(ValueError, match=f"future.npz has format 99, this version reads {io.FORMAT}"):
+    with pytest.raises(
+        ValueError, match=f"future.npz has format 99, this version reads {io.FORMAT}"
+    ):
         dpd.load_state(tmp_path / "future.npz")
     dpd.save_state(tmp_path / "state.npz", state)
     with np.load(tmp_path / "state.npz") as file:
         np.savez(tmp_path / "torn.npz", **{name: file[name] for name in file if name != "velocity"})
-    with pytest.raises(ValueError, match="torn.npz lacks the array 'velocity'; save the state again"):
+    with pytest.raises(
+        ValueError, match="torn.npz lacks the array 'velocity'; save the state again"
+    ):
         dpd.load_state(tmp_path / "torn.npz")
 
 

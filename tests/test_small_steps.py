@@ -1,4 +1,5 @@
-"""Sums of many small steps in single precision: strain, positions, orientations, time, means and integrals."""
+"""Sums of many small steps in single precision: strain, positions, orientations, time, means and
+integrals."""
 
 import dataclasses
 
@@ -31,9 +32,9 @@ def beads(single):
 @pytest.fixture(scope="module")
 def far():
     """``far(fluid, state, dt, rate)``: the state ``STEPS`` steps later, one program for all."""
-    go = lambda fluid, state, dt, rate: dpd.simulate(
-        fluid, state, jax.random.key(1), dt, dpd.Plan(1, STEPS), dpd.shear(rate)
-    ).final
+    go = lambda fluid, state, dt, rate: (
+        dpd.simulate(fluid, state, jax.random.key(1), dt, dpd.Plan(1, STEPS), dpd.shear(rate)).final
+    )
     return jax.jit(go)
 
 
@@ -54,7 +55,8 @@ def test_the_rest_of_a_sum_has_no_derivative():
 
 @pytest.mark.parametrize("rate", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
 def test_slow_shear_strains_the_box(beads, far, rate):
-    """From a strain of 0.3: at rate 1e-5, 20,000 steps of 1e-3 strained it by 1e-8 where 2e-4 is due."""
+    """From a strain of 0.3: at rate 1e-5, 20,000 steps of 1e-3 strained it by 1e-8 where 2e-4 is
+    due."""
     fluid, state = beads
     start = jnp.float32(0.3)
     state = dataclasses.replace(state, box=state.box.strained(start))
@@ -70,7 +72,11 @@ def test_small_steps_move_beads(beads, far, dt):
     fluid, state = beads
     after = far(fluid, state, dt, 0.0)
     sides = np.asarray(state.box.lengths, float)
-    moved = np.asarray(after.position, float) + np.asarray(after.image) * sides - np.asarray(state.position, float)
+    moved = (
+        np.asarray(after.position, float)
+        + np.asarray(after.image) * sides
+        - np.asarray(state.position, float)
+    )
     due = np.asarray(state.velocity, float) * dt * STEPS
     assert np.sum(moved**2) == pytest.approx(np.sum(due**2), rel=1e-3)
     assert np.sum(moved * due) == pytest.approx(np.sum(due**2), rel=1e-3)
@@ -92,7 +98,9 @@ def test_slow_shear_carries_beads_along(beads, far, rate):
 def test_small_steps_turn_spheres(single, dt):
     omega = jnp.array([[0.1, 0.2, -0.15]], jnp.float32)
     rows = np.random.default_rng(1).normal(size=(1, 4))
-    start = Rotation.of(omega, 0).orientation * 0 + jnp.asarray(rows / np.linalg.norm(rows), jnp.float32)
+    start = Rotation.of(omega, 0).orientation * 0 + jnp.asarray(
+        rows / np.linalg.norm(rows), jnp.float32
+    )
     body = lambda carry, _: (plus(*carry, turn_by(carry[0], dt * omega)), None)
     end = jax.jit(lambda q: jax.lax.scan(body, (q, 0 * q), length=4000)[0][0])(start)
     turned = angle_turned(np.stack([np.asarray(start, float), np.asarray(end, float)]))[-1, 0]
@@ -104,8 +112,12 @@ def test_means_and_integrals_of_many_steps(single, record, tenth):
     """Plain sums over 300,000 steps were off by 0.3 %."""
     steps = 300_000
     recorder = record(lambda fluid, state: {"tenth": jnp.float32(0.1)})
-    sums = jax.lax.fori_loop(0, steps, lambda _, sums: recorder.add(sums, None, None), recorder.zero(None, None))
-    assert recorder.value(None, None, sums, jnp.float32(1e-3), steps)["tenth"] == pytest.approx(tenth, rel=1e-6)
+    sums = jax.lax.fori_loop(
+        0, steps, lambda _, sums: recorder.add(sums, None, None), recorder.zero(None, None)
+    )
+    assert recorder.value(None, None, sums, jnp.float32(1e-3), steps)["tenth"] == pytest.approx(
+        tenth, rel=1e-6
+    )
 
 
 def test_a_mean_of_truths_is_their_share(beads):

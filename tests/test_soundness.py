@@ -1,4 +1,5 @@
-"""Laws are judged by their values: before a run with the law, the gap and the cure, inside one by a status bit."""
+"""Laws are judged by their values: before a run with the law, the gap and the cure, inside one by a
+status bit."""
 
 from types import SimpleNamespace
 
@@ -26,7 +27,12 @@ def rubbing(zeta0, **how):
 
 
 def pushing(law, reach=2.5, **how):
-    return dpd.fluid([dpd.term(law, reach=reach)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0, **how)
+    return dpd.fluid(
+        [dpd.term(law, reach=reach)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
+        **how,
+    )
 
 
 def lennard_jones(h):
@@ -35,7 +41,10 @@ def lennard_jones(h):
 
 
 def test_a_friction_of_a_user_below_zero_is_refused_before_a_run(fresh, key):
-    told = r"friction rub\(zeta0=-3.0, r_c=1.0\) between species 0 and 0 at a gap of .* is -3: .*jnp.maximum"
+    told = (
+        r"friction rub\(zeta0=-3.0, r_c=1.0\) between species 0 and 0 at a gap of .* is -3: "
+        r".*jnp.maximum"
+    )
     for door in (dpd.simulate, dpd.run):
         with pytest.raises(ValueError, match=told):
             door(rubbing(-3.0), fresh, key, 1e-3, dpd.Plan(1))
@@ -54,11 +63,16 @@ def test_tables_scans_and_precisions(dtype):
 
 
 def test_the_noise_follows_from_the_sum_and_from_random():
-    """A negative part of a positive sum has its noise; a friction behind the noise may not be negative either."""
+    """A negative part of a positive sum has its noise; a friction behind the noise may not be
+    negative either."""
     terms = [dpd.term(rub, zeta0=z, r_c=1.0) for z in (3.0, -1.0)]
     check_laws(dpd.fluid(drag=terms, kT=1.0))
     with pytest.raises(ValueError, match="zeta0=-1.0"):
-        check_laws(dpd.fluid(interactions=[dpd.interaction((0, 0), drag=terms[:1], random=terms[1:])], kT=1.0))
+        check_laws(
+            dpd.fluid(
+                interactions=[dpd.interaction((0, 0), drag=terms[:1], random=terms[1:])], kT=1.0
+            )
+        )
     across = dpd.term(rub, zeta0=-1.0, r_c=1.0, projector="transverse")
     with pytest.raises(ValueError, match="zeta0=-1.0"):
         check_laws(dpd.fluid(drag=[terms[0], across], kT=1.0))
@@ -81,7 +95,9 @@ def test_a_traced_friction_below_zero_ends_the_run_and_not_its_neighbour(fresh, 
 
     run = member(jnp.array([-3.0, 3.0]))
     assert run.final.status[0] & bits.BAD_LAW and run.final.status[1] == 0
-    assert np.all(np.isnan(run.frames["temperature"][0])) and np.all(np.isfinite(run.frames["temperature"][1]))
+    assert np.all(np.isnan(run.frames["temperature"][0])) and np.all(
+        np.isfinite(run.frames["temperature"][1])
+    )
     assert "friction is negative" in bits.describe(run.final.status)
 
 
@@ -93,7 +109,11 @@ def test_a_fluid_that_a_traced_function_closes_over_is_judged_too(fresh, key):
 
 def test_noise_of_a_negative_friction_is_no_number():
     assert np.isnan(safe_sqrt(jnp.array(-1.0))) and np.isnan(safe_sqrt(jnp.array(jnp.nan)))
-    assert safe_sqrt(jnp.array(0.0)) == 0 and jax.grad(safe_sqrt)(0.0) == 0 and safe_sqrt(jnp.array(4.0)) == 2
+    assert (
+        safe_sqrt(jnp.array(0.0)) == 0
+        and jax.grad(safe_sqrt)(0.0) == 0
+        and safe_sqrt(jnp.array(4.0)) == 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -111,7 +131,10 @@ def test_potentials_that_are_not_finite_where_beads_can_be(law, told):
 
 def test_potentials_that_keep_beads_out_may_diverge():
     check_laws(pushing(lennard_jones))
-    for fluid in (dpd.marble_fluid(a=25.0, gamma_t=1.0, is_several=True), dpd.colloid_fluid(noise="literal")):
+    for fluid in (
+        dpd.marble_fluid(a=25.0, gamma_t=1.0, is_several=True),
+        dpd.colloid_fluid(noise="literal"),
+    ):
         check_laws(fluid)
 
 
@@ -170,10 +193,14 @@ def test_laws_declare_the_numbers_they_take():
         dpd.fluid([t], kT=1.0).set(k=0.0)
     with pytest.raises(ValueError, match="k is -1.0"):
         dpd.term(spring, k=-1.0, reach=1.0)
-    with pytest.raises(ValueError, match="bound of k is 'large'; it is one of positive, not negative"):
+    with pytest.raises(
+        ValueError, match="bound of k is 'large'; it is one of positive, not negative"
+    ):
         dpd.bounded(k="large")
     negative = lambda h, *, gamma: gamma * h
-    assert dpd.fluid([dpd.term(negative, gamma=-1.0, reach=1.0)], kT=1.0), "a name alone says nothing"
+    assert dpd.fluid([dpd.term(negative, gamma=-1.0, reach=1.0)], kT=1.0), (
+        "a name alone says nothing"
+    )
 
 
 def test_an_attraction_has_no_negative_depth():

@@ -12,7 +12,8 @@ MANY = 500
 
 
 def ar1(rng, phi, *shape):
-    """Gaussian series of variance 1 in which a value remembers a share ``phi`` of the one before."""
+    """Gaussian series of variance 1 in which a value remembers a share ``phi`` of the one
+    before."""
     x = rng.normal(size=shape)
     x[..., 1:] *= math.sqrt(1 - phi**2)
     for k in range(1, shape[-1]):
@@ -33,7 +34,9 @@ def test_block_errors_are_the_errors(phi, shape):
     series = ar1(np.random.default_rng(1), phi, MANY, *shape)
     estimates = [block_average(s) for s in series]
     assert np.allclose([e.value for e in estimates], series.reshape(MANY, -1).mean(1))
-    assert np.mean([e.error for e in estimates]) == pytest.approx(error_of_mean(phi, np.prod(shape)), rel=0.08)
+    assert np.mean([e.error for e in estimates]) == pytest.approx(
+        error_of_mean(phi, np.prod(shape)), rel=0.08
+    )
     covered = np.mean([abs(e.value) < e.error for e in estimates])
     assert 0.61 < covered < 0.75
 
@@ -80,7 +83,9 @@ def test_an_estimate_prints(estimate, text):
 def test_deviation_counts_combined_errors():
     assert Estimate(1.0, 0.1).deviation(1.2) == pytest.approx(2.0)
     assert Estimate(1.0, 0.3).deviation(Estimate(2.0, 0.4)) == pytest.approx(2.0)
-    assert Estimate(1.0, 0.0).deviation(1.0) == 0.0 and Estimate(1.0, 0.0).deviation(2.0) == math.inf
+    assert (
+        Estimate(1.0, 0.0).deviation(1.0) == 0.0 and Estimate(1.0, 0.0).deviation(2.0) == math.inf
+    )
 
 
 def test_scaled_estimates_keep_their_relative_error():
@@ -98,7 +103,10 @@ def test_extrapolation_recovers_a_line():
 def test_extrapolation_error_is_the_error():
     rng = np.random.default_rng(3)
     x, sigma = np.array([0.1, 0.3, 0.4]), np.array([0.1, 0.2, 0.4])
-    lines = [[Estimate(v, s) for v, s in zip(2.0 - 5.0 * x + sigma * noise, sigma)] for noise in rng.normal(size=(2000, 3))]
+    lines = [
+        [Estimate(v, s) for v, s in zip(2.0 - 5.0 * x + sigma * noise, sigma)]
+        for noise in rng.normal(size=(2000, 3))
+    ]
     intercepts = [extrapolate(x, line) for line in lines]
     assert np.std([e.value for e in intercepts]) == pytest.approx(intercepts[0].error, rel=0.06)
 

@@ -110,13 +110,22 @@ def test_wrong_trajectories(water):
     final = SimpleNamespace(box=Box(SIDES, np.zeros(())))
     run = {"final": final, "fluid": water, "interval": 0.1}
     frames = {"time": np.arange(5), "position": ideal_gas(5, 8)}
-    with pytest.raises(ValueError, match="sheared, and the tilt of the box in each frame is unknown; record it too"):
+    with pytest.raises(
+        ValueError, match="sheared, and the tilt of the box in each frame is unknown; record it too"
+    ):
         radial_distribution(SimpleNamespace(frames=frames, flow=dpd.shear(0.1), **run))
     frames = frames | {"strain": np.zeros(5)}
-    with pytest.raises(ValueError, match="recorded means of 'position', not its value at a time; use observe=dpd.pos"):
-        radial_distribution(SimpleNamespace(frames=frames, flow=dpd.shear(0.1), means=("position",), **run))
+    with pytest.raises(
+        ValueError,
+        match="recorded means of 'position', not its value at a time; use observe=dpd.pos",
+    ):
+        radial_distribution(
+            SimpleNamespace(frames=frames, flow=dpd.shear(0.1), means=("position",), **run)
+        )
     standard = SimpleNamespace(frames={"temperature": np.ones(5)}, flow=quiet(), final=final)
-    with pytest.raises(ValueError, match="no 'position' but temperature; use observe=dpd.positions"):
+    with pytest.raises(
+        ValueError, match="no 'position' but temperature; use observe=dpd.positions"
+    ):
         radial_distribution(standard)
     with pytest.raises(ValueError, match="knows its box"):
         radial_distribution(standard, box=SIDES)
@@ -139,7 +148,9 @@ def test_structure_of_water():
     state = dpd.initial_state(water, key, box=5.0, density=3.0)
     plan = dpd.Plan(frames=60, every=10)
     run = dpd.simulate(water, state, key, 0.02, plan, observe=dpd.positions)
-    late = dataclasses.replace(run, frames={name: values[20:] for name, values in run.frames.items()})
+    late = dataclasses.replace(
+        run, frames={name: values[20:] for name, values in run.frames.items()}
+    )
     rdf = radial_distribution(late, bins=50)
     assert abs(rdf.r[np.argmax(rdf.g)] - 0.88) < 0.1
     assert abs(np.interp(0.5, rdf.r, rdf.g) - 0.59) < 0.06
@@ -149,10 +160,20 @@ def test_structure_of_water():
 def test_a_scan_is_not_pooled(water, fresh, key):
     """What differs is named; members, and replicas of one fluid, are measured."""
     keys = jax.random.split(key, 2)
-    go = lambda fluid: dpd.run(fluid, fresh, keys, 0.005, dpd.Plan(2, 2), observe=dpd.positions, progress=False)
+    go = lambda fluid: dpd.run(
+        fluid, fresh, keys, 0.005, dpd.Plan(2, 2), observe=dpd.positions, progress=False
+    )
     scan = go(water.set(gamma=np.array([4.5, 9.0]), kT=np.array([1.0, 0.5])))
-    for measure in (radial_distribution, dpd.diffusion, dpd.mean_squared_displacement, dpd.velocity_autocorrelation):
-        with pytest.raises(ValueError, match="the members of this batch differ in gamma, kT; measure them one by one"):
+    for measure in (
+        radial_distribution,
+        dpd.diffusion,
+        dpd.mean_squared_displacement,
+        dpd.velocity_autocorrelation,
+    ):
+        with pytest.raises(
+            ValueError,
+            match="the members of this batch differ in gamma, kT; measure them one by one",
+        ):
             measure(scan)
     assert len([radial_distribution(member) for member in scan.members()]) == 2
     assert radial_distribution(go(water.set(gamma=np.array([4.5, 4.5])))).g.shape == (100,)

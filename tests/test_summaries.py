@@ -21,26 +21,40 @@ def two(water, fresh):
 
 def test_a_state_says_what_it_is(fresh, two):
     assert repr(fresh) == f"State({fresh.n} beads, box 4.2 x 4.2 x 4.2, step 0, time 0)"
-    assert repr(two.final) == f"State(2 members of {fresh.n} beads, box 4.2 x 4.2 x 4.2 at strain 0.03, step 6, time 0.06)"
+    assert (
+        repr(two.final)
+        == f"State(2 members of {fresh.n} beads, box 4.2 x 4.2 x 4.2 at strain 0.03, step 6, time "
+        "0.06)"
+    )
     broken = dataclasses.replace(fresh, status=jnp.uint32(bits.RUN_AWAY))
     assert "the beads ran away" in repr(broken)
 
 
 def test_a_run_says_what_it_recorded(two):
     told = repr(two)
-    assert told.startswith("Trajectory(3 frames, one in 2 steps of 0.01: ") and "pressure_tensor (2, 3, 3, 3)" in told
+    assert (
+        told.startswith("Trajectory(3 frames, one in 2 steps of 0.01: ")
+        and "pressure_tensor (2, 3, 3, 3)" in told
+    )
     partial = dataclasses.replace(two, complete=False, failed=((1, "why"),))
     assert "interrupted, members [1] failed" in repr(partial) and len(told) < 400
 
 
 def test_a_term_says_its_numbers(water):
     repulsion, drag = water.interactions[0].terms
-    assert (repr(repulsion), repr(drag)) == ("soft_repulsion(a=25, r_c=1)", "central_drag(gamma=4.5, r_c=1)")
+    assert (repr(repulsion), repr(drag)) == (
+        "soft_repulsion(a=25, r_c=1)",
+        "central_drag(gamma=4.5, r_c=1)",
+    )
     mine = dpd.term(dpd.central_drag, gamma=2.0, r_c=1.0, projector="full", origin="surface")
     assert repr(mine) == "central_drag(gamma=2, r_c=1, projector='full', origin='surface')"
 
 
-LEAVES = {"axes": lambda x: 0, "none": lambda x: None, "shapes": lambda x: jax.ShapeDtypeStruct(np.shape(x), float)}
+LEAVES = {
+    "axes": lambda x: 0,
+    "none": lambda x: None,
+    "shapes": lambda x: jax.ShapeDtypeStruct(np.shape(x), float),
+}
 
 
 @pytest.mark.parametrize("of", LEAVES.values(), ids=LEAVES)

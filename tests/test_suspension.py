@@ -1,4 +1,5 @@
-"""Suspensions: several groups of beads, each pair with its own law, against sums over all pairs by hand."""
+"""Suspensions: several groups of beads, each pair with its own law, against sums over all pairs by
+hand."""
 
 import dataclasses
 import math
@@ -24,13 +25,17 @@ NUMBERS = dict(kT=0.1, gamma=4.5, eta_0=0.3, D0=1.2, kappa=30.0)
 @pytest.fixture(scope="module")
 def suspended(key):
     """Polydisperse colloids and solvent in the smallest box that takes them."""
-    return dpd.suspension(key, phi=0.2, box=8.0, spread=0.1, skin=0.1, density=2.0, dt=DT, report=None, **NUMBERS)
+    return dpd.suspension(
+        key, phi=0.2, box=8.0, spread=0.1, skin=0.1, density=2.0, dt=DT, report=None, **NUMBERS
+    )
 
 
 @pytest.fixture(scope="module")
 def settled(suspended, simulate, key):
     """The same after 60 steps of shear."""
-    final = simulate(suspended.fluid, suspended.state, key, DT, dpd.Plan(6, 10), dpd.shear(1.0)).final
+    final = simulate(
+        suspended.fluid, suspended.state, key, DT, dpd.Plan(6, 10), dpd.shear(1.0)
+    ).final
     assert final.status == 0
     return final
 
@@ -47,14 +52,22 @@ def test_counts_masses_and_cut_offs(suspended):
     reaches = [n.grid.reach for n in made.state.neighbours]
     np.testing.assert_allclose(reaches, [1.0, (1 + largest**3) ** (1 / 3), 1 + 2 * largest])
     assert made.tau == pytest.approx(6 * math.pi * 0.3 / 0.1)
-    for part in (f"{made.colloids} colloids and {made.solvents} solvent", "diffusion time tau 56.55", "particle-steps"):
+    for part in (
+        f"{made.colloids} colloids and {made.solvents} solvent",
+        "diffusion time tau 56.55",
+        "particle-steps",
+    ):
         assert part in str(made)
 
 
 def test_start_has_no_overlap_and_the_solvent_outside(suspended):
     state, fluid = suspended.state, suspended.fluid
     R = np.asarray(radii(fluid, state))
-    d = np.asarray(boxes.displacement(state.box, state.position[:, None], state.position[None, suspended.solvents :]))
+    d = np.asarray(
+        boxes.displacement(
+            state.box, state.position[:, None], state.position[None, suspended.solvents :]
+        )
+    )
     gap = np.linalg.norm(d, axis=-1) - R[:, None] - R[None, suspended.solvents :]
     gap[suspended.solvents :][np.eye(suspended.colloids, dtype=bool)] = np.inf
     assert gap.min() >= 0
@@ -64,11 +77,15 @@ def test_start_has_no_overlap_and_the_solvent_outside(suspended):
 def test_the_spheres_of_a_state(settled, suspended):
     some, colloids = dpd.spheres_of(suspended.fluid, settled), slice(suspended.solvents, None)
     np.testing.assert_array_equal(some.position[0, 0], settled.position[colloids])
-    np.testing.assert_array_equal(some.radius[0], np.asarray(radii(suspended.fluid, settled))[colloids])
+    np.testing.assert_array_equal(
+        some.radius[0], np.asarray(radii(suspended.fluid, settled))[colloids]
+    )
     assert some.strain[0, 0] == settled.box.strain != 0 and some.time == settled.time
     with pytest.raises(ValueError, match="species 0 has no radius.*spheres are of species 1"):
         dpd.spheres_of(suspended.fluid, settled, species=0)
-    with pytest.raises(TypeError, match=r"not a State; of one state, dpd.spheres_of\(fluid, state\)"):
+    with pytest.raises(
+        TypeError, match=r"not a State; of one state, dpd.spheres_of\(fluid, state\)"
+    ):
         dpd.contact_number(settled, gap=0.1)
     with pytest.raises(ValueError, match="the state is a batch"):
         dpd.spheres_of(suspended.fluid, jax.tree.map(lambda x: jnp.stack([x, x]), settled))
@@ -106,7 +123,9 @@ def forces_by_hand(fluid, state, solvents, rate, key):
         words = noise.step_words(key, state.step, channel)
         of_bead = noise.bead_words(words, state.id)
         xi = np.asarray(noise.pair_noise(words, of_bead[i[mine]], of_bead[j[mine]], np.float64))
-        f = (conservative - zeta * approach[mine] + np.sqrt(2 * NUMBERS["kT"] * zeta / DT) * xi)[:, None] * e[mine]
+        f = (conservative - zeta * approach[mine] + np.sqrt(2 * NUMBERS["kT"] * zeta / DT) * xi)[
+            :, None
+        ] * e[mine]
         np.add.at(total, i[mine], f)
         np.subtract.at(total, j[mine], f)
     return total
@@ -121,15 +140,26 @@ def test_forces_equal_the_sum_over_all_pairs(suspended, settled, key):
         a, b = first + 2 * k, first + 2 * k + 1
         position[b] = position[a] + (R[a] + R[b] + gap) * np.array([0.6, 0.0, 0.8])
     position = boxes.wrap(settled.box, jnp.asarray(position))[0]
-    neighbours = tuple(lists.allocate(n.grid.grown(), settled.box, position) for n in settled.neighbours)
+    neighbours = tuple(
+        lists.allocate(n.grid.grown(), settled.box, position) for n in settled.neighbours
+    )
     assert not any(int(n.list.error.code) for n in neighbours)
     state = dataclasses.replace(settled, position=position, neighbours=neighbours)
-    force, _, tally = jax.jit(lambda s: pair_force(suspended.fluid, s, s.velocity, 1.0, key, DT, tally=True))(state)
+    force, _, tally = jax.jit(
+        lambda s: pair_force(suspended.fluid, s, s.velocity, 1.0, key, DT, tally=True)
+    )(state)
     expected = forces_by_hand(suspended.fluid, state, first, 1.0, key)
     np.testing.assert_allclose(force, expected, atol=1e-9 * np.abs(expected).max())
     assert jnp.max(jnp.abs(jnp.sum(force, axis=0))) < 1e-10 * jnp.max(jnp.abs(force))
     assert all(jnp.any(v != 0) for v in tally.virial.values())
-    assert set(tally.virial) == {"conservative", "drag", "random", "contact", "colloid", "lubrication"}
+    assert set(tally.virial) == {
+        "conservative",
+        "drag",
+        "random",
+        "contact",
+        "colloid",
+        "lubrication",
+    }
 
 
 FLOW, TWENTY = dpd.shear(1.0), dpd.Plan(2, 10)
@@ -141,7 +171,10 @@ def run(simulate, suspended, key):
 
 
 def same_bits(a, b):
-    return all(jnp.array_equal(getattr(a, name), getattr(b, name)) for name in ("position", "velocity", "force", "image", "id"))
+    return all(
+        jnp.array_equal(getattr(a, name), getattr(b, name))
+        for name in ("position", "velocity", "force", "image", "id")
+    )
 
 
 def test_momentum_of_a_sheared_suspension(run, settled):
@@ -160,20 +193,26 @@ def test_sorting_groups_is_bitwise_invisible(monkeypatch, suspended, settled, ke
     def go(sort, state):
         monkeypatch.setattr(order, "SMALLEST", 20 if sort else 10**9)
         monkeypatch.setattr(order, "LASTS", 3)
-        return jax.jit(lambda s: dpd.simulate(suspended.fluid, s, key, DT, dpd.Plan(3, 5), FLOW))(state).final
+        return jax.jit(lambda s: dpd.simulate(suspended.fluid, s, key, DT, dpd.Plan(3, 5), FLOW))(
+            state
+        ).final
 
     monkeypatch.setattr(order, "SMALLEST", 20)
     first = order.in_cell_order(settled)
     assert not jnp.array_equal(first.id[: suspended.solvents], settled.id[: suspended.solvents])
-    assert jnp.all(jnp.sort(first.id[: suspended.solvents]) == jnp.arange(suspended.solvents)), "groups stay together"
+    assert jnp.all(jnp.sort(first.id[: suspended.solvents]) == jnp.arange(suspended.solvents)), (
+        "groups stay together"
+    )
     assert same_bits(go(True, settled), go(False, settled))
 
 
 def test_no_pair_of_any_group_is_missed(run, simulate, suspended, settled, key):
     hot = suspended.fluid.set(kT=1.0)
     watch = lambda fluid, state: {
-        "position": state.position, "strain": state.box.strain, **{f"idx{k}": n.list.idx for k, n in enumerate(state.neighbours)}
-    }  # fmt: skip
+        "position": state.position,
+        "strain": state.box.strain,
+        **{f"idx{k}": n.list.idx for k, n in enumerate(state.neighbours)},
+    }
     seen = simulate(hot, settled, key, DT, dpd.Plan(12, 20), dpd.shear(2.0), observe=watch)
     assert seen.final.status == 0
     R = np.asarray(radii(suspended.fluid, settled))
@@ -182,16 +221,30 @@ def test_no_pair_of_any_group_is_missed(run, simulate, suspended, settled, key):
         box = boxes.Box(settled.box.lengths, seen.frames["strain"][f])
         x = seen.frames["position"][f]
         r = np.linalg.norm(np.asarray(boxes.displacement(box, x[:, None], x[None])), axis=-1)
-        for k, (a, b) in enumerate((((0, first), (0, first)), ((0, first), (first, n)), ((first, n), (first, n)))):
-            reach = 1.0 if k == 0 else (1 + R[None, :] ** 3) ** (1 / 3) if k == 1 else 1 + R[:, None] + R[None]
+        for k, (a, b) in enumerate(
+            (((0, first), (0, first)), ((0, first), (first, n)), ((first, n), (first, n)))
+        ):
+            reach = (
+                1.0
+                if k == 0
+                else (1 + R[None, :] ** 3) ** (1 / 3)
+                if k == 1
+                else 1 + R[:, None] + R[None]
+            )
             close = np.triu(r < reach, 1)
-            wanted = {(i, j) for i, j in np.argwhere(close).tolist() if a[0] <= i < a[1] and b[0] <= j < b[1]}
+            wanted = {
+                (i, j)
+                for i, j in np.argwhere(close).tolist()
+                if a[0] <= i < a[1] and b[0] <= j < b[1]
+            }
             i, j = np.asarray(seen.frames[f"idx{k}"][f])
             assert wanted <= set(zip(i[i < n].tolist(), j[i < n].tolist()))
 
 
 def test_same_key_same_suspension(key):
-    make = lambda key: dpd.suspension(key, phi=0.1, box=7.0, density=1.0, report=None, **NUMBERS).state
+    make = lambda key: (
+        dpd.suspension(key, phi=0.1, box=7.0, density=1.0, report=None, **NUMBERS).state
+    )
     once, again, other = make(key), make(key), make(jax.random.key(99))
     assert same_bits(once, again)
     assert not jnp.any(once.position == other.position)
@@ -200,11 +253,16 @@ def test_same_key_same_suspension(key):
 @pytest.mark.parametrize("name, value", [("D0", 1.2), ("kappa", 5.0), ("eta_0", 0.3)])
 def test_gradients_equal_central_differences(name, value, suspended, settled, key):
     """Over ten steps, in wells so wide that several pairs of colloids are in one."""
-    fluid, weights = suspended.fluid.set(kappa=5.0), jnp.asarray(np.random.default_rng(0).normal(size=(suspended.colloids, 3)))
+    fluid, weights = (
+        suspended.fluid.set(kappa=5.0),
+        jnp.asarray(np.random.default_rng(0).normal(size=(suspended.colloids, 3))),
+    )
 
     @jax.jit
     def outcome(x):
-        final = dpd.simulate(fluid.set(**{name: x}), settled.restarted(), key, 1e-4, dpd.Plan(2, 5)).final
+        final = dpd.simulate(
+            fluid.set(**{name: x}), settled.restarted(), key, 1e-4, dpd.Plan(2, 5)
+        ).final
         return jnp.sum(weights * final.velocity[suspended.solvents :])
 
     step = 1e-4 * value
@@ -215,7 +273,11 @@ def test_gradients_equal_central_differences(name, value, suspended, settled, ke
 
 def test_scans_over_numbers_of_colloids(suspended, settled, key):
     scan = dict(D0=jnp.array([0.0, 1.2]), kT=jnp.array([0.1, 0.2]), eta_0=jnp.array([0.3, 1.0]))
-    run = lambda **numbers: dpd.simulate(suspended.fluid.set(**numbers), settled, key, DT, dpd.Plan(2, 3)).final.velocity
+    run = lambda **numbers: (
+        dpd.simulate(
+            suspended.fluid.set(**numbers), settled, key, DT, dpd.Plan(2, 3)
+        ).final.velocity
+    )
     for name, values in scan.items():
         together = jax.jit(jax.vmap(lambda x: run(**{name: x})))(values)
         alone = jax.jit(lambda x: run(**{name: x}))(values[1])
@@ -224,22 +286,30 @@ def test_scans_over_numbers_of_colloids(suspended, settled, key):
 
 
 def test_relative_viscosity_is_that_at_the_density_between(settled, suspended, key, monkeypatch):
-    """Of replicas; the measurement of the solvent is replaced by one that says what it was asked."""
+    """Of replicas; the measurement of the solvent is replaced by one that says what it was
+    asked."""
     asked = {}
 
     def measure(fluid, **how):
         asked.update(how, species=fluid.species)
         return SimpleNamespace(estimate=dpd.Estimate(0.5, 0.01))
 
-    monkeypatch.setattr(sys.modules[dpd.relative_viscosity.__module__], "measure_viscosity", measure)
-    wide = dataclasses.replace(settled, position=settled.position.at[suspended.solvents :].set(jnp.array([4.0, 4.0, 4.0])))
+    monkeypatch.setattr(
+        sys.modules[dpd.relative_viscosity.__module__], "measure_viscosity", measure
+    )
+    wide = dataclasses.replace(
+        settled, position=settled.position.at[suspended.solvents :].set(jnp.array([4.0, 4.0, 4.0]))
+    )
     rng = np.random.default_rng(0)
     stress = -0.8 + 0.1 * rng.normal(size=(2, 40, 1, 1)) * np.ones((1, 1, 3, 3))
     final = jax.tree.map(lambda x: jnp.stack([x, x]), wide)
     frames = {"pressure_tensor": stress, "time": np.zeros((2, 40))}
     sheared = dpd.Trajectory(final, frames, suspended.fluid, dpd.shear(1.0), DT)
     found = dpd.relative_viscosity(sheared, key=key, tolerance=0.1)
-    assert found.value == pytest.approx(dpd.shear_viscosity(sheared).value / 0.5) and found.deviation(1.6) < 4
+    assert (
+        found.value == pytest.approx(dpd.shear_viscosity(sheared).value / 0.5)
+        and found.deviation(1.6) < 4
+    )
     assert asked["density"] == pytest.approx(dpd.solvent_density(suspended.fluid, wide))
     assert asked["tolerance"] == 0.1 and asked["species"] == 1
     known = dpd.relative_viscosity(sheared, solvent=dpd.Estimate(0.25, 0.0))
@@ -247,8 +317,12 @@ def test_relative_viscosity_is_that_at_the_density_between(settled, suspended, k
 
 
 def test_killed_and_repeated(suspended, settled, simulate, key):
-    again = dpd.suspension(key, phi=0.2, box=8.0, spread=0.1, skin=0.1, density=2.0, dt=DT, report=None, **NUMBERS)
-    assert same_bits(settled, simulate(again.fluid, again.state, key, DT, dpd.Plan(6, 10), dpd.shear(1.0)).final)
+    again = dpd.suspension(
+        key, phi=0.2, box=8.0, spread=0.1, skin=0.1, density=2.0, dt=DT, report=None, **NUMBERS
+    )
+    assert same_bits(
+        settled, simulate(again.fluid, again.state, key, DT, dpd.Plan(6, 10), dpd.shear(1.0)).final
+    )
 
 
 def test_saved_and_loaded(run, settled, tmp_path):
@@ -295,7 +369,10 @@ def radii_of(made):
         (dict(phi=0.2, box=5.0), r"below 2 \(reach \+ skin\)"),
         (dict(phi=1e-4, box=9.0), "less than one colloid"),
         (dict(phi=0.2, box=9.0, noise="wrong"), "noise is 'wrong'"),
-        (dict(phi=0.2, box=9.0, noise="literal", lubrication=dpd.unequal_lubrication), "leave lubrication= out"),
+        (
+            dict(phi=0.2, box=9.0, noise="literal", lubrication=dpd.unequal_lubrication),
+            "leave lubrication= out",
+        ),
         (dict(phi=0.2, box=9.0, kT=0.0), "kT is 0"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, dict) else None,
@@ -306,13 +383,23 @@ def test_suspensions_that_cannot_be(wrong, words, key):
 
 
 def test_groups_from_a_plain_start(key):
-    soft, rub = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0), dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)
+    soft, rub = (
+        dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0),
+        dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0),
+    )
     fluid = dpd.fluid(
-        interactions=[dpd.interaction((0, 0), soft, rub), dpd.interaction((1, 0), dpd.term(dpd.soft_repulsion, a=25.0, r_c=2.0))],
-        kT=1.0, mass=[1.0, 5.0],
-    )  # fmt: skip
+        interactions=[
+            dpd.interaction((0, 0), soft, rub),
+            dpd.interaction((1, 0), dpd.term(dpd.soft_repulsion, a=25.0, r_c=2.0)),
+        ],
+        kT=1.0,
+        mass=[1.0, 5.0],
+    )
     state = dpd.initial_state(fluid, key, box=5.0, n=[300, 20], sheared=False)
-    assert [n.grid.groups for n in state.neighbours] == [((0, 300), (0, 300)), ((0, 300), (300, 320))]
+    assert [n.grid.groups for n in state.neighbours] == [
+        ((0, 300), (0, 300)),
+        ((0, 300), (300, 320)),
+    ]
     final = dpd.simulate(fluid, state, key, 0.01, dpd.Plan(2, 5)).final
     assert final.status == 0
     with pytest.raises(ValueError, match="no bead of species"):

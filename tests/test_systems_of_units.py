@@ -68,7 +68,9 @@ def advice(system) -> dict:
         "largest rate": suggest_rate(fluid, density, rough, 10.0) * system.time,
         "rough": rough / system.viscosity,
         "drag": drag_viscosity(fluid, density) / system.viscosity,
-        "guess": drag_guess(fluid, "gamma", 1.3 * system.viscosity, density) * system.time / system.mass,
+        "guess": drag_guess(fluid, "gamma", 1.3 * system.viscosity, density)
+        * system.time
+        / system.mass,
         "window": experiment.window_time(fluid, density) / system.time,
         "weak": float(weak.value("gamma")) * system.time / system.mass,
     }
@@ -83,17 +85,26 @@ def test_advice_without_kT_or_drag():
     """Zero limits nothing; a floor under it would be a number in some unit."""
     cold = dpd.water(a=A, gamma=GAMMA, kT=0.0)
     assert 0 < dpd.suggest_dt(cold, 3.0) < 0.05
-    with pytest.raises(ValueError, match="nothing limits the time step: the fluid has neither kT nor a force; give dt="):
+    with pytest.raises(
+        ValueError,
+        match="nothing limits the time step: the fluid has neither kT nor a force; give dt=",
+    ):
         dpd.suggest_dt(dpd.water(a=0.0, gamma=0.0, kT=0.0), 3.0)
 
 
 def test_drag_viscosity_of_any_friction():
     """2 pi gamma rho^2 r_c^5/1575 where zeta = gamma w^2, in any power of it by its integral."""
     water = dpd.water(gamma=4.5, r_c=1.5)
-    assert drag_viscosity(water, 2.0) == pytest.approx(2 * math.pi * 4.5 * 4 * 1.5**5 / 1575, rel=1e-4)
-    linear = dpd.fluid(drag=[dpd.term(lambda h, *, zeta0, r_c: zeta0 * (1 - h / r_c), zeta0=2.0, r_c=1.0)], kT=1.0)
+    assert drag_viscosity(water, 2.0) == pytest.approx(
+        2 * math.pi * 4.5 * 4 * 1.5**5 / 1575, rel=1e-4
+    )
+    linear = dpd.fluid(
+        drag=[dpd.term(lambda h, *, zeta0, r_c: zeta0 * (1 - h / r_c), zeta0=2.0, r_c=1.0)], kT=1.0
+    )
     assert drag_viscosity(linear, 3.0) == pytest.approx(2 * math.pi / 15 * 9 * 2.0 / 30, rel=1e-4)
-    assert drag_guess(linear, "zeta0", 1.3, 3.0) == pytest.approx(1.3 / (2 * math.pi / 15 * 9 / 30), rel=1e-4)
+    assert drag_guess(linear, "zeta0", 1.3, 3.0) == pytest.approx(
+        1.3 / (2 * math.pi / 15 * 9 / 30), rel=1e-4
+    )
     assert drag_guess(water, "a", 1.3, 3.0) is None and drag_guess(water, "r_c", 1.3, 3.0) is None
 
 
@@ -127,7 +138,9 @@ def moved(key, simulate, ten):
     def run(system):
         box, skin = 4.2 * system.length, 0.2 * system.length
         state = dpd.initial_state(system.water(), key, box=box, density=system.density, skin=skin)
-        after = simulate(system.water(), state, key, 0.01 * system.time, ten, dpd.shear(0.5 / system.time))
+        after = simulate(
+            system.water(), state, key, 0.01 * system.time, ten, dpd.shear(0.5 / system.time)
+        )
         assert after.final.status == 0
         return reduced(system, after.final, after.frames)
 
@@ -140,40 +153,63 @@ def test_run(moved, system):
 
 
 def test_run_in_single_precision(key):
-    """SI numbers and their products are within what 32 bits hold: ten steps are those of units of one, to rounding."""
+    """SI numbers and their products are within what 32 bits hold: ten steps are those of units of
+    one, to rounding."""
     plan = dpd.Plan(2, 5)
     with jax.enable_x64(False):
         found = []
         for system in (REDUCED, SYSTEMS["SI"]):
             box = 4.2 * system.length
-            state = dpd.initial_state(system.water(), key, box=box, density=system.density, skin=0.2 * system.length)
-            run = dpd.run(system.water(), state, key, 0.01 * system.time, plan, dpd.shear(0.5 / system.time), progress=False)
+            state = dpd.initial_state(
+                system.water(), key, box=box, density=system.density, skin=0.2 * system.length
+            )
+            run = dpd.run(
+                system.water(),
+                state,
+                key,
+                0.01 * system.time,
+                plan,
+                dpd.shear(0.5 / system.time),
+                progress=False,
+            )
             found.append(reduced(system, run.final, run.frames))
     agree(found[1], found[0], 1e-3)
 
 
 def small_suspension(system, key):
-    units = {"kT": system.kT, "r_c": system.length, "solvent_mass": system.mass, "gamma": GAMMA * system.mass / system.time}
+    units = {
+        "kT": system.kT,
+        "r_c": system.length,
+        "solvent_mass": system.mass,
+        "gamma": GAMMA * system.mass / system.time,
+    }
     box, eta_0 = 6.2 * system.length, 0.9 * system.viscosity
-    return dpd.suspension(key, phi=0.1, box=box, D0=2.0 * system.kT, eta_0=eta_0, sheared=False, report=None, **units)
+    return dpd.suspension(
+        key, phi=0.1, box=box, D0=2.0 * system.kT, eta_0=eta_0, sheared=False, report=None, **units
+    )
 
 
 def one_marble(system, key):
     units = {"kT": system.kT, "r_c": system.length, "solvent_mass": system.mass}
     frictions = {name: GAMMA * system.mass / system.time for name in ("gamma", "gamma_cs")}
-    return dpd.marbles(key, box=6.0 * system.length, radius=1.5 * system.length, report=None, **units, **frictions)
+    return dpd.marbles(
+        key, box=6.0 * system.length, radius=1.5 * system.length, report=None, **units, **frictions
+    )
 
 
 def rest_slow(*quick):
     """Every system, those not named among the slow tests: each length is a program of its own."""
     marks = lambda name: () if name in quick else pytest.mark.slow
     everything = {"heavy and cold": HEAVY_AND_COLD} | SYSTEMS
-    return pytest.mark.parametrize("system", [pytest.param(s, id=name, marks=marks(name)) for name, s in everything.items()])
+    return pytest.mark.parametrize(
+        "system", [pytest.param(s, id=name, marks=marks(name)) for name, s in everything.items()]
+    )
 
 
 @pytest.fixture(scope="module")
 def in_reduced_units():
-    """``in_reduced_units(of, *arguments)``: what a function of a system and a key gives in units of one, computed once."""
+    """``in_reduced_units(of, *arguments)``: what a function of a system and a key gives in units of
+    one, computed once."""
     return functools.cache(lambda of, *arguments: of(REDUCED, *arguments))
 
 
@@ -186,12 +222,20 @@ def ten_steps(system, make, simulate, ten):
     return numbers | reduced(system, after.final, after.frames)
 
 
-@pytest.mark.parametrize("make", [small_suspension, pytest.param(one_marble, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "make", [small_suspension, pytest.param(one_marble, marks=pytest.mark.slow)]
+)
 @rest_slow("SI, powers of two")
 def test_spheres(in_reduced_units, simulate, ten, make, system):
-    """Numbers left out are lengths in r_c and energies in kT, so the same spheres are built and move alike."""
-    # Packing compares rounded distances: in systems that are not powers of two apart they part by as much.
-    agree(ten_steps(system, make, simulate, ten), in_reduced_units(ten_steps, make, simulate, ten), 1e-6)
+    """Numbers left out are lengths in r_c and energies in kT, so the same spheres are built and
+    move alike."""
+    # Packing compares rounded distances: in systems that are not powers of two apart they part by
+    # as much.
+    agree(
+        ten_steps(system, make, simulate, ten),
+        in_reduced_units(ten_steps, make, simulate, ten),
+        1e-6,
+    )
 
 
 @pytest.fixture
@@ -208,21 +252,32 @@ def measured_viscosity(system):
 
 
 def calibrated(system):
-    wish = {"viscosity": 1.5 * system.viscosity, "density": system.density, "box": 3.0 * system.length}
+    wish = {
+        "viscosity": 1.5 * system.viscosity,
+        "density": system.density,
+        "box": 3.0 * system.length,
+    }
     fit = calibrate(system.water(), key=jax.random.key(7), tolerance=1.0, boxes=4, **wish)
-    return fit.estimate.scaled(system.time / system.mass), (fit.rate * system.time, fit.dt / system.time)
+    return fit.estimate.scaled(system.time / system.mass), (
+        fit.rate * system.time,
+        fit.dt / system.time,
+    )
 
 
 @pytest.mark.parametrize("answer", [measured_viscosity, calibrated])
 @rest_slow("heavy and cold")
 def test_answers(in_reduced_units, short_pieces, monkeypatch, answer, system):
-    """Where all factors are powers of two the same to rounding; else long runs part, and agree within their errors."""
+    """Where all factors are powers of two the same to rounding; else long runs part, and agree
+    within their errors."""
     if answer is calibrated:
-        # Its frictions are exponentials, equal to rounding: blocks as short as pieces, before that has grown.
+        # Its frictions are exponentials, equal to rounding: blocks as short as pieces, before that
+        # has grown.
         monkeypatch.setattr(experiment, "REMEMBERED", 1e-9)
     (ours, advice), (theirs, due) = answer(system), in_reduced_units(answer)
     if system is HEAVY_AND_COLD:
-        assert (ours.value, ours.error, *advice) == pytest.approx((theirs.value, theirs.error, *due), rel=1e-6)
+        assert (ours.value, ours.error, *advice) == pytest.approx(
+            (theirs.value, theirs.error, *due), rel=1e-6
+        )
     else:
         assert ours.deviation(theirs) < 4
         assert advice == pytest.approx(due, rel=1e-6 if answer is measured_viscosity else 0.5)
@@ -230,6 +285,8 @@ def test_answers(in_reduced_units, short_pieces, monkeypatch, answer, system):
 
 def test_numbers_that_float32_cannot_hold():
     """A moment of inertia of 1e-44 became 0 without a word."""
-    with pytest.raises(ValueError, match="inertia is 1e-44, which float32 cannot hold .*: choose units in which kT"):
+    with pytest.raises(
+        ValueError, match="inertia is 1e-44, which float32 cannot hold .*: choose units in which kT"
+    ):
         with jax.enable_x64(False):
             positive(1e-44, "inertia")

@@ -18,18 +18,28 @@ def trajectory(unwrapped, velocity, interval, species=None, mass=(1.0,), flow=No
     """What a run would leave behind, from arrays (..., frames, n, 3)."""
     species = np.zeros(velocity.shape[-2], int) if species is None else species
     # Beads that nothing slows in common: no flow of theirs comes back to them.
-    fluid = dpd.fluid([dpd.term(dpd.soft_repulsion, a=np.zeros((len(mass), len(mass))), r_c=1.0)], [], kT=1.0, mass=mass)
+    fluid = dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=np.zeros((len(mass), len(mass))), r_c=1.0)],
+        [],
+        kT=1.0,
+        mass=mass,
+    )
     return SimpleNamespace(
         frames={"unwrapped": unwrapped, "velocity": velocity},
         interval=interval,
         flow=quiet() if flow is None else flow,
-        final=SimpleNamespace(species=species, size=np.ones(len(species)), box=SimpleNamespace(lengths=np.full(3, 10.0))),
+        final=SimpleNamespace(
+            species=species,
+            size=np.ones(len(species)),
+            box=SimpleNamespace(lengths=np.full(3, 10.0)),
+        ),
         fluid=fluid,
     )
 
 
 def langevin(rng, rate, frames, h, kT=1.0):
-    """Independent beads with damping ``rate`` (n,), sampled exactly: positions and velocities (frames, n, 3)."""
+    """Independent beads with damping ``rate`` (n,), sampled exactly: positions and velocities
+    (frames, n, 3)."""
     rate = np.broadcast_to(rate, (np.size(rate),))[:, None]
     e = np.exp(-rate * h)
     var_v, cov = kT * (1 - e**2), kT / rate * (1 - e) ** 2
@@ -59,9 +69,14 @@ def test_free_flight():
     velocity = rng.normal(size=(500, 3))
     time = 0.1 * np.arange(60)[:, None, None]
     drift = np.array([5.0, 0.0, -1.0])
-    free = trajectory((velocity + drift) * time, np.broadcast_to(velocity + drift, (60, 500, 3)), 0.1)
+    free = trajectory(
+        (velocity + drift) * time, np.broadcast_to(velocity + drift, (60, 500, 3)), 0.1
+    )
     speed = np.mean(np.sum((velocity - velocity.mean(0)) ** 2, axis=1))
-    msd, vacf = mean_squared_displacement(free, t_max=2.0), velocity_autocorrelation(free, t_max=2.0)
+    msd, vacf = (
+        mean_squared_displacement(free, t_max=2.0),
+        velocity_autocorrelation(free, t_max=2.0),
+    )
     assert np.allclose(msd.time, 0.1 * np.arange(21))
     assert np.allclose(msd.value, speed * msd.time**2, atol=1e-9)
     assert np.allclose(vacf.value, speed)
@@ -73,7 +88,9 @@ def test_products_are_the_averages_over_origins():
     origins = range(30 - 12)
     by_hand = [np.mean([np.sum(x[o] * x[o + lag], axis=1) for o in origins]) for lag in range(13)]
     assert np.allclose(transport.autocorrelation(x, 12), by_hand)
-    by_hand = [np.mean([np.sum((x[o] - x[o + lag]) ** 2, axis=1) for o in origins]) for lag in range(13)]
+    by_hand = [
+        np.mean([np.sum((x[o] - x[o + lag]) ** 2, axis=1) for o in origins]) for lag in range(13)
+    ]
     assert np.allclose(transport.squared_displacement(x, 12), by_hand)
 
 
@@ -85,7 +102,10 @@ def test_beads_in_several_groups_are_all_counted(monkeypatch):
 
 
 def test_brownian_curves(brownian):
-    msd, vacf = mean_squared_displacement(brownian, t_max=5.0), velocity_autocorrelation(brownian, t_max=5.0)
+    msd, vacf = (
+        mean_squared_displacement(brownian, t_max=5.0),
+        velocity_autocorrelation(brownian, t_max=5.0),
+    )
     t = msd.time
     expected = 6 / RATE**2 * (RATE * t - 1 + np.exp(-RATE * t)) * KEPT
     assert np.all(np.abs(msd.value - expected)[1:] < 4.5 * msd.error[1:])
@@ -103,10 +123,17 @@ def test_brownian_diffusion(brownian, method):
 
 @pytest.mark.parametrize("method", ["msd", "vacf"])
 def test_lags_at_which_velocities_are_remembered(brownian, method):
-    """A memory ``exp(-2 t)`` leaves ``D exp(-2 t)`` to come: refused where that is a quarter, else told as what it is."""
-    with pytest.raises(ValueError, match=r"between lags of 0.1 and 0.4 the velocities are not yet forgotten.* fit later lags, fit="):
+    """A memory ``exp(-2 t)`` leaves ``D exp(-2 t)`` to come: refused where that is a quarter, else
+    told as what it is."""
+    with pytest.raises(
+        ValueError,
+        match=r"between lags of 0.1 and 0.4 the velocities are not yet forgotten.* fit later "
+        r"lags, fit=",
+    ):
         diffusion(brownian, method=method, fit=(0.1, 0.4))
-    with pytest.warns(UserWarning, match="velocities are still remembered.*too small by about") as told:
+    with pytest.warns(
+        UserWarning, match="velocities are still remembered.*too small by about"
+    ) as told:
         found = diffusion(brownian, method=method, fit=(0.8, 1.2))
     missing = float(str(told[0].message).split("too small by about ")[1].split(",")[0])
     assert missing == pytest.approx(np.exp(-2.0) / RATE, rel=0.15)
@@ -114,7 +141,12 @@ def test_lags_at_which_velocities_are_remembered(brownian, method):
     later = str(told[0].message).split("fit=(")[1].split(")")[0]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert diffusion(brownian, method=method, fit=tuple(map(float, later.split(", ")))).deviation(KEPT / RATE) < 3.5
+        assert (
+            diffusion(brownian, method=method, fit=tuple(map(float, later.split(", ")))).deviation(
+                KEPT / RATE
+            )
+            < 3.5
+        )
 
 
 def test_short_runs_have_no_diffusion(brownian):
@@ -138,7 +170,9 @@ def test_a_curve_that_bends_otherwise_is_not_straight(brownian):
 def test_frames_too_far_apart_to_integrate():
     rng = np.random.default_rng(6)
     coarse = trajectory(*langevin(rng, np.full(BEADS, RATE), 3000, 0.5), 0.5)
-    with pytest.warns(UserWarning, match="frames 0.5 apart are too far for the integral.*too large by about"):
+    with pytest.warns(
+        UserWarning, match="frames 0.5 apart are too far for the integral.*too large by about"
+    ):
         found = diffusion(coarse, method="vacf", fit=(4.0, 8.0))
     assert found.value > 0.53
     with warnings.catch_warnings():
@@ -177,7 +211,9 @@ def test_drift_is_that_of_the_mass():
     """A heavy bead at rest and a light one moving: the frame moves with the centre of mass."""
     velocity = np.zeros((20, 2, 3))
     velocity[:, 1, 0] = 4.0
-    moving = trajectory(velocity * 0.5 * np.arange(20)[:, None, None], velocity, 0.5, np.array([0, 1]), (3.0, 1.0))
+    moving = trajectory(
+        velocity * 0.5 * np.arange(20)[:, None, None], velocity, 0.5, np.array([0, 1]), (3.0, 1.0)
+    )
     heavy, light = (velocity_autocorrelation(moving, species=s, t_max=1.0).value for s in (0, 1))
     assert np.allclose(heavy, 1.0) and np.allclose(light, 9.0)
 
@@ -185,8 +221,13 @@ def test_drift_is_that_of_the_mass():
 def test_one_species_recorded_alone():
     """As if all were recorded, where these have no momentum."""
     rng, species, mass = np.random.default_rng(9), np.repeat([0, 1], [12, 8]), np.array([1.0, 3.0])
-    x, v = (np.stack(values) for values in zip(*(langevin(rng, np.full(20, RATE), 100, H) for _ in range(4))))
-    x, v = (values - np.average(values, axis=2, weights=mass[species])[:, :, None] for values in (x, v))
+    x, v = (
+        np.stack(values)
+        for values in zip(*(langevin(rng, np.full(20, RATE), 100, H) for _ in range(4)))
+    )
+    x, v = (
+        values - np.average(values, axis=2, weights=mass[species])[:, :, None] for values in (x, v)
+    )
     whole = trajectory(x, v, H, species, mass)
     alone = SimpleNamespace(**vars(whole))
     alone.frames = {name: values[:, :, species == 1] for name, values in whole.frames.items()}
@@ -196,7 +237,10 @@ def test_one_species_recorded_alone():
     D = diffusion(alone, species=1, fit=(3.0, 4.0))
     assert D.value == pytest.approx(diffusion(whole, species=1, fit=(3.0, 4.0)).value)
     for wrong in (None, 0):
-        with pytest.raises(ValueError, match="recorded 8 of its 20 beads, not the .* to be measured; name their species"):
+        with pytest.raises(
+            ValueError,
+            match="recorded 8 of its 20 beads, not the .* to be measured; name their species",
+        ):
             diffusion(alone, species=wrong)
 
 
@@ -207,7 +251,10 @@ def test_one_species_recorded_alone():
         ({"species": 3}, "no bead is of species 3; there are 0"),
         ({"fit": (1.0, 1.05)}, "fit = .* holds 1 lags"),
         ({"fit": (1.0, 100.0)}, "1 independent pieces"),
-        ({"fit": (1.0, 1000.0)}, "longest lag 1000 is outside the run; frames are 0.1 apart over 299.9"),
+        (
+            {"fit": (1.0, 1000.0)},
+            "longest lag 1000 is outside the run; frames are 0.1 apart over 299.9",
+        ),
     ],
 )
 def test_wrong_arguments(brownian, arguments, message):
@@ -217,7 +264,10 @@ def test_wrong_arguments(brownian, arguments, message):
 
 def test_wrong_trajectories():
     x = np.zeros((30, 4, 3))
-    with pytest.raises(ValueError, match="sheared.*recorded without their images is unknown; use observe=dpd.positions"):
+    with pytest.raises(
+        ValueError,
+        match="sheared.*recorded without their images is unknown; use observe=dpd.positions",
+    ):
         diffusion(trajectory(x, x, H, flow=dpd.shear(0.1)))
     with pytest.raises(ValueError, match="differ in dt"):
         diffusion(trajectory(np.stack([x, x]), np.stack([x, x]), np.array([0.1, 0.2])))
@@ -237,25 +287,36 @@ def test_one_piece_has_no_error_bar(brownian):
 
 def test_results_draw_themselves(brownian):
     pytest.importorskip("matplotlib").use("Agg")
-    msd, vacf = mean_squared_displacement(brownian, t_max=2.0), velocity_autocorrelation(brownian, t_max=2.0)
+    msd, vacf = (
+        mean_squared_displacement(brownian, t_max=2.0),
+        velocity_autocorrelation(brownian, t_max=2.0),
+    )
     assert msd.plot().get_ylabel() == "mean squared displacement [length$^2$]"
     ax = vacf.plot()
     assert ax.get_xlabel() == "t [time]" and vacf.plot(ax) is ax
 
 
 def test_water_of_a_real_run():
-    """Two replicas under vmap: free flight at first, ``3 kT`` at lag 0, then the diffusion of water."""
+    """Two replicas under vmap: free flight at first, ``3 kT`` at lag 0, then the diffusion of
+    water."""
     water, key = dpd.water(), jax.random.key(4)
     state = dpd.initial_state(water, key, box=5.0, density=3.0)
-    simulate = lambda key: dpd.simulate(water, state, key, 0.02, dpd.Plan(225, every=4), observe=dpd.positions)
+    simulate = lambda key: dpd.simulate(
+        water, state, key, 0.02, dpd.Plan(225, every=4), observe=dpd.positions
+    )
     run = jax.vmap(simulate)(jax.random.split(key, 2))
-    run = dataclasses.replace(run, frames={name: values[:, 25:] for name, values in run.frames.items()})
+    run = dataclasses.replace(
+        run, frames={name: values[:, 25:] for name, values in run.frames.items()}
+    )
     vacf = velocity_autocorrelation(run)
     assert vacf.value[0] == pytest.approx(3.0, rel=0.05)
     assert np.all(np.diff(vacf.value[:6]) < 0)
     msd = mean_squared_displacement(run)
     assert msd.time[1] == pytest.approx(0.08)
     assert msd.value[1] == pytest.approx(3.0 * 0.08**2, rel=0.1)
-    by_slope, by_memory = diffusion(run, fit=(1.0, 1.5)), diffusion(run, method="vacf", fit=(1.0, 1.5))
+    by_slope, by_memory = (
+        diffusion(run, fit=(1.0, 1.5)),
+        diffusion(run, method="vacf", fit=(1.0, 1.5)),
+    )
     assert by_slope.deviation(by_memory) < 4
     assert abs(by_slope.value - 0.28) < 5 * by_slope.error

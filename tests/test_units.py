@@ -6,7 +6,13 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.measure.statistics import Estimate
-from dpdjax.model.units import BOLTZMANN, DIMENSIONS, Units, repulsion_from_compressibility, water_units
+from dpdjax.model.units import (
+    BOLTZMANN,
+    DIMENSIONS,
+    Units,
+    repulsion_from_compressibility,
+    water_units,
+)
 
 TIMES = ["thermal", "diffusion", "viscosity_energy", "viscosity_mass"]
 BEAD, THERMAL = 8.967e-26, BOLTZMANN * 298.0
@@ -20,7 +26,9 @@ def test_size_and_mass_of_a_water_bead():
     assert units.to_si(3.0, "density") == pytest.approx(996.3, abs=0.1)
 
 
-@pytest.mark.parametrize("time, seconds", list(zip(TIMES, [3.02e-12, 88.2e-12, 77.2e-12, 0.118e-12])))
+@pytest.mark.parametrize(
+    "time, seconds", list(zip(TIMES, [3.02e-12, 88.2e-12, 77.2e-12, 0.118e-12]))
+)
 def test_time_unit_by_what_is_matched(time, seconds):
     assert water_units(time).time == pytest.approx(seconds, rel=2e-3)
 
@@ -90,7 +98,11 @@ def test_errors_name_the_choices():
 
 def test_water_is_the_standard_fluid():
     water = dpd.water()
-    assert (float(water.value("a")), float(water.value("gamma")), float(water.kT)) == (25.0, 4.5, 1.0)
+    assert (float(water.value("a")), float(water.value("gamma")), float(water.kT)) == (
+        25.0,
+        4.5,
+        1.0,
+    )
     assert float(dpd.water(kT=0.1).value("a")) == pytest.approx(2.5)
     assert float(dpd.water(a=15.0, kT=0.1).value("a")) == 15.0
     with pytest.raises(ValueError, match="gamma"):

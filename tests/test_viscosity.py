@@ -1,4 +1,5 @@
-"""Four roads to the viscosity: known answers, small real runs, and errors that say what to record."""
+"""Four roads to the viscosity: known answers, small real runs, and errors that say what to
+record."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -54,7 +55,11 @@ def test_green_kubo_integrates_the_memory():
     for seed in range(12):
         smooth, drag = stress(seed, 1.5), stress(100 + seed, 0.4)
         instant = 0.3 + 0.05 * np.random.default_rng(seed).normal(size=(REPLICAS, FRAMES))
-        frames = {"flux": smooth + drag, "reversed_flux": smooth - drag, "instantaneous_viscosity": instant}
+        frames = {
+            "flux": smooth + drag,
+            "reversed_flux": smooth - drag,
+            "instantaneous_viscosity": instant,
+        }
         estimates.append(dpd.green_kubo(trajectory(frames), window=1.6))
     assert within(estimates, 0.3 + 1.5 - 0.4)
     assert max(e.error for e in estimates) < 0.2
@@ -62,8 +67,14 @@ def test_green_kubo_integrates_the_memory():
 
 def test_green_kubo_integrates_by_the_trapezoidal_rule():
     """Of one orientation all the time, a fifth is seen in the mean over all."""
-    steady = np.broadcast_to(0.7 * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]]), (REPLICAS, 100, 3, 3))
-    frames = {"flux": steady, "reversed_flux": steady, "instantaneous_viscosity": np.ones((REPLICAS, 100))}
+    steady = np.broadcast_to(
+        0.7 * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]]), (REPLICAS, 100, 3, 3)
+    )
+    frames = {
+        "flux": steady,
+        "reversed_flux": steady,
+        "instantaneous_viscosity": np.ones((REPLICAS, 100)),
+    }
     eta = dpd.green_kubo(trajectory(frames), window=5 * H)
     assert eta.value == pytest.approx(1.0 + np.prod(SIDES) / KT * 0.2 * 0.7**2 * 5 * H)
 
@@ -71,7 +82,10 @@ def test_green_kubo_integrates_by_the_trapezoidal_rule():
 def test_green_kubo_stops_at_the_window():
     frames = {"flux": stress(0, 1.5), "instantaneous_viscosity": np.zeros((REPLICAS, FRAMES))}
     run = trajectory(frames | {"reversed_flux": frames["flux"]})
-    with pytest.warns(UserWarning, match="still remembered at the end of the window, to 5.% of.*leaves out about 0.8") as told:
+    with pytest.warns(
+        UserWarning,
+        match="still remembered at the end of the window, to 5.% of.*leaves out about 0.8",
+    ) as told:
         half = dpd.green_kubo(run, window=0.2 * np.log(2))
     assert half.deviation(0.75) < 4 and half.error < 0.05
     assert len(told) == 1
@@ -81,7 +95,11 @@ def test_green_kubo_stops_at_the_window():
 def test_windows_in_which_the_stress_is_forgotten_are_not_told():
     for seed in range(12):
         flux = stress(seed, 1.5)
-        frames = {"flux": flux, "reversed_flux": flux, "instantaneous_viscosity": np.zeros((REPLICAS, FRAMES))}
+        frames = {
+            "flux": flux,
+            "reversed_flux": flux,
+            "instantaneous_viscosity": np.zeros((REPLICAS, FRAMES)),
+        }
         dpd.green_kubo(trajectory(frames), window=1.6)
         dpd.einstein_helfand(trajectory({"flux_integral": H * flux}), window=1.6)
 
@@ -91,13 +109,17 @@ def test_einstein_helfand_is_the_growth_of_the_integral():
     assert within([dpd.einstein_helfand(t, window=1.6) for t in flux], 1.5)
     # From lag 0 the ballistic start is missing: eta (1 - (memory / t) (1 - exp(-t / memory))).
     with pytest.warns(UserWarning, match="not yet straight: its slope changes by 0.*start later"):
-        assert within([dpd.einstein_helfand(t, start=0.0, window=1.6) for t in flux], 1.5 * (1 - 0.125))
+        assert within(
+            [dpd.einstein_helfand(t, start=0.0, window=1.6) for t in flux], 1.5 * (1 - 0.125)
+        )
 
 
 def test_pressure_of_any_trace_has_no_viscosity():
     isotropic = np.random.default_rng(0).normal(size=(REPLICAS, FRAMES, 1, 1)) * np.eye(3)
     frames = {"flux_integral": isotropic}
-    assert dpd.einstein_helfand(trajectory(frames), window=0.4).value == pytest.approx(0.0, abs=1e-12)
+    assert dpd.einstein_helfand(trajectory(frames), window=0.4).value == pytest.approx(
+        0.0, abs=1e-12
+    )
 
 
 def test_sinusoidal_viscosity_of_a_known_wave():
@@ -116,7 +138,9 @@ def test_sine_record_reads_the_amplitude(water, fresh):
     record = dpd.sine_record(2).observe(water, state)
     assert record["wave_velocity"] == pytest.approx(0.7, rel=0.2)
     assert record["momentum"][1] == pytest.approx(0.7 * float(y.sum()))
-    assert dpd.sine_record(2) is dpd.sine_record(2), "one object for each, or every run compiles anew"
+    assert dpd.sine_record(2) is dpd.sine_record(2), (
+        "one object for each, or every run compiles anew"
+    )
 
 
 def test_control_variate_removes_noise_and_keeps_the_mean():
@@ -132,7 +156,9 @@ def test_control_variate_removes_noise_and_keeps_the_mean():
 def test_replicas_are_pooled_after_the_start():
     pressure = -0.4 * (1.0 + np.random.default_rng(0).normal(size=(REPLICAS, FRAMES)))
     pressure[:, : FRAMES // 4] = 100.0
-    frames = {"pressure_tensor": pressure[..., None, None] * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])}
+    frames = {
+        "pressure_tensor": pressure[..., None, None] * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    }
     eta = dpd.shear_viscosity(trajectory(frames, dpd.shear(0.4)), skip=0.25)
     assert eta.value == pytest.approx(-pressure[:, FRAMES // 4 :].mean() / 0.4)
     assert eta.error == pytest.approx(1 / np.sqrt(0.75 * REPLICAS * FRAMES), rel=0.5)
@@ -141,18 +167,29 @@ def test_replicas_are_pooled_after_the_start():
 def test_numbers_that_a_vmap_repeated_are_pooled():
     many = lambda x: np.full(REPLICAS, x)
     flux = {"flux_integral": stress(0, 1.0)}
-    assert dpd.einstein_helfand(trajectory(flux, kT=many(KT), dt=many(DT)), window=1.0) == dpd.einstein_helfand(
-        trajectory(flux), window=1.0
-    )
+    assert dpd.einstein_helfand(
+        trajectory(flux, kT=many(KT), dt=many(DT)), window=1.0
+    ) == dpd.einstein_helfand(trajectory(flux), window=1.0)
     sheared = {"pressure_tensor": stress(1, 1.0)}
-    one, repeated = (dpd.shear_viscosity(trajectory(sheared, dpd.shear(rate))) for rate in (0.2, many(0.2)))
+    one, repeated = (
+        dpd.shear_viscosity(trajectory(sheared, dpd.shear(rate))) for rate in (0.2, many(0.2))
+    )
     assert one == repeated
 
 
 def test_shear_viscosity_of_a_real_run(ideal, key):
     """a = 0, gamma = 5, at a rate that heats by 4 %."""
     state = dpd.initial_state(ideal, key, box=6.0, density=RHO, skin=0.2)
-    run = dpd.run(ideal, state, key, 0.02, dpd.Plan(300, 10), dpd.shear(0.5), observe=dpd.mean(dpd.shear_record), progress=False)
+    run = dpd.run(
+        ideal,
+        state,
+        key,
+        0.02,
+        dpd.Plan(300, 10),
+        dpd.shear(0.5),
+        observe=dpd.mean(dpd.shear_record),
+        progress=False,
+    )
     eta = dpd.shear_viscosity(run)
     assert eta.error < 0.06
     assert eta.deviation(1.26) < 4
@@ -165,7 +202,9 @@ def test_sinusoidal_viscosity_of_a_real_run(ideal, key):
     wave = jnp.sin(2 * jnp.pi * state.position[:, 1] / 10.0)
     state = dataclasses.replace(state, velocity=state.velocity.at[:, 0].add(wave - wave.mean()))
     flow = dpd.sinusoidal_force(0.16, side=10.0)
-    run = dpd.run(ideal, state, key, 0.02, dpd.Plan(80, 40), flow, observe=dpd.sine_record(), progress=False)
+    run = dpd.run(
+        ideal, state, key, 0.02, dpd.Plan(80, 40), flow, observe=dpd.sine_record(), progress=False
+    )
     assert dpd.sinusoidal_viscosity(run).value == pytest.approx(0.91 * 1.26, rel=0.2)
     assert np.allclose(run.frames["momentum"], 0, atol=1e-9)
 
@@ -197,7 +236,9 @@ def test_run_without_the_flow():
 
 
 def test_window_too_long_for_the_run():
-    with pytest.raises(ValueError, match="4000 frames of 4 replicas are too few for a window of 5000: run longer"):
+    with pytest.raises(
+        ValueError, match="4000 frames of 4 replicas are too few for a window of 5000: run longer"
+    ):
         dpd.einstein_helfand(trajectory({"flux_integral": stress(0, 1.0)}), window=100.0)
 
 
@@ -211,8 +252,13 @@ def test_window_too_long_for_the_run():
     ids=["numbers", "dt", "rate"],
 )
 def test_scan_is_not_pooled(scan, name):
-    frames = {"pressure_tensor": np.zeros((REPLICAS, FRAMES, 3, 3)), "flux_integral": stress(0, 1.0)}
-    refused = pytest.raises(ValueError, match=f"the members of this batch differ in {name}; measure them one by one")
+    frames = {
+        "pressure_tensor": np.zeros((REPLICAS, FRAMES, 3, 3)),
+        "flux_integral": stress(0, 1.0),
+    }
+    refused = pytest.raises(
+        ValueError, match=f"the members of this batch differ in {name}; measure them one by one"
+    )
     with refused:
         dpd.shear_viscosity(trajectory(frames, **({"flow": dpd.shear(0.2)} | scan)))
     if "flow" not in scan:

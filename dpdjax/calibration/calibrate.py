@@ -27,7 +27,8 @@ from dpdjax.measure.statistics import Estimate
 
 MAX_POINTS = 10
 NEAR = 0.1
-"""A root or a minimum counts once a value was measured this near in ``ln parameter``: slopes alone may be biased."""
+"""A root or a minimum counts once a value was measured this near in ``ln parameter``: slopes alone
+may be biased."""
 SLOPE_SAMPLES = 8
 """Tangent windows per point, over all boxes."""
 
@@ -55,7 +56,8 @@ class Calibration:
         curve: the fit through them.
         dt, rate: time step and shear rate of the fresh run.
         particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
-        temperature: mean kinetic temperature of the fresh run; NaN where the goal does not record it.
+        temperature: mean kinetic temperature of the fresh run; NaN where the goal does not record
+            it.
     """
 
     parameter: str
@@ -158,7 +160,9 @@ def calibrate(
         wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
         setup = (observe, flow, rate, density, tolerance, box, boxes, dt)
         found = _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
-        return dataclasses.replace(found, seconds=clock.seconds, compile_seconds=clock.compile_seconds)
+        return dataclasses.replace(
+            found, seconds=clock.seconds, compile_seconds=clock.compile_seconds
+        )
     _check_goal(viscosity, pressure, target, observe)
     guess = _first_guess(fluid, parameter, guess, viscosity, density)
     fluid = fluid.set(energies="keep", **{parameter: guess})
@@ -170,12 +174,28 @@ def calibrate(
     x, points, proposal = math.log(guess), [], None
     while True:
         fluid = fluid.set(energies="keep", **{parameter: math.exp(x)})
-        bench.goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
+        bench.goal = _goal(
+            fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance
+        )
         say(f"{parameter} {math.exp(x):.4g}: measuring")
         coarse = not points or proposal.why == "search"
         error = 3.0 * wanted if coarse else 0.9 * wanted
-        points.append(_measure_point(bench, fluid, parameter, x, error, first=not points, most=max_particle_steps, say=say))
-        say(f"{parameter} {math.exp(x):.4g}: {goal.name} {points[-1].value}, slope {points[-1].slope}")
+        points.append(
+            _measure_point(
+                bench,
+                fluid,
+                parameter,
+                x,
+                error,
+                first=not points,
+                most=max_particle_steps,
+                say=say,
+            )
+        )
+        say(
+            f"{parameter} {math.exp(x):.4g}: {goal.name} {points[-1].value}, slope "
+            f"{points[-1].slope}"
+        )
         proposal = propose(points, goal.target, sign)
         _refuse_unreachable(points, proposal, goal, parameter)
         answer = proposal.curve.at(proposal.x)
@@ -192,17 +212,38 @@ def calibrate(
     settle = 0.5 * thermal_time(fluid)
     fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
     return Calibration(
-        parameter, goal.name, goal.target, Estimate(value, error, len(points)), fresh.estimate, fluid, tuple(points),
-        proposal.curve, bench.step_for(fluid), float(bench.goal.flow.rate), bench.steps, clock.seconds,
-        fresh.temperature, clock.compile_seconds,
-    )  # fmt: skip
+        parameter,
+        goal.name,
+        goal.target,
+        Estimate(value, error, len(points)),
+        fresh.estimate,
+        fluid,
+        tuple(points),
+        proposal.curve,
+        bench.step_for(fluid),
+        float(bench.goal.flow.rate),
+        bench.steps,
+        clock.seconds,
+        fresh.temperature,
+        clock.compile_seconds,
+    )
 
 
 def measure_viscosity(
-    fluid, *, key, density: float | None = None, tolerance: float = 0.02, dt=None, rate=None, box=None, boxes: int = 2,
-    max_particle_steps: float = 2e9, report=None,
-) -> experiment.Measurement:  # fmt: skip
-    """The viscosity of a fluid in homogeneous shear, to a standard error of a third of the tolerance.
+    fluid,
+    *,
+    key,
+    density: float | None = None,
+    tolerance: float = 0.02,
+    dt=None,
+    rate=None,
+    box=None,
+    boxes: int = 2,
+    max_particle_steps: float = 2e9,
+    report=None,
+) -> experiment.Measurement:
+    """The viscosity of a fluid in homogeneous shear, to a standard error of a third of the
+    tolerance.
 
     Starts from nothing: equilibrates a batch of boxes, shears them and goes on until the
     error bar is met. Arguments as in :func:`calibrate`.
@@ -226,7 +267,11 @@ def measure_viscosity(
     wanted = tolerance * abs(first.estimate.value) / SIGMAS
     if first.estimate.error > wanted:
         result = experiment.measure(bench, fluid, wanted, 0.0, most, say)
-    spent = {"particle_steps": bench.steps, "seconds": clock.seconds, "compile_seconds": clock.compile_seconds}
+    spent = {
+        "particle_steps": bench.steps,
+        "seconds": clock.seconds,
+        "compile_seconds": clock.compile_seconds,
+    }
     return dataclasses.replace(result, **spent)
 
 
@@ -236,8 +281,8 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
     wishes = {name: value for name, value in wishes.items() if value is not None}
     if len(wishes) != len(parameters):
         raise ValueError(
-            f"{len(parameters)} parameters {parameters} for {len(wishes)} wanted numbers {tuple(wishes)}; "
-            "give as many of viscosity=, pressure=, target="
+            f"{len(parameters)} parameters {parameters} for {len(wishes)} wanted numbers "
+            f"{tuple(wishes)}; give as many of viscosity=, pressure=, target="
         )
     for name in parameters:
         _first_guess(fluid, name, None, None, density)
@@ -247,7 +292,9 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)
         wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
-        benches.append(_bench(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, say))
+        benches.append(
+            _bench(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, say)
+        )
     return descend(fluid, parameters, benches, tolerance, optimiser, MAX_POINTS, say)
 
 
@@ -260,12 +307,16 @@ def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point
 
 
 def _density(fluid, density) -> float:
-    return 3.0 / max(fluid.reaches()) ** 3 if density is None else float(positive(density, "density"))
+    return (
+        3.0 / max(fluid.reaches()) ** 3 if density is None else float(positive(density, "density"))
+    )
 
 
 def _bench(fluid, goal, key, density, box, boxes, dt, say):
     side = 10.0 * max(fluid.reaches()) if box is None else box
-    return experiment.prepare(fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt, report=say)
+    return experiment.prepare(
+        fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt, report=say
+    )
 
 
 def _check_goal(viscosity, pressure, target, observe):
@@ -279,9 +330,14 @@ def _check_goal(viscosity, pressure, target, observe):
     if name == "viscosity":
         positive(value, name)
     if number(value, name) == 0:
-        raise ValueError(f"{name} is 0, and no error bar is small relative to it; shift the number that is observed")
+        raise ValueError(
+            f"{name} is 0, and no error bar is small relative to it; shift the number that is "
+            "observed"
+        )
     if name == "target" and observe is None:
-        raise ValueError("target= needs observe=, a function observe(fluid, state) of which it is the mean")
+        raise ValueError(
+            "target= needs observe=, a function observe(fluid, state) of which it is the mean"
+        )
     if name == "target" and not callable(observe):
         raise TypeError(f"observe is a {type(observe).__name__}; {ONE_NUMBER}")
 
@@ -289,10 +345,14 @@ def _check_goal(viscosity, pressure, target, observe):
 def _refuse_unused(viscosity, target, observe, flow, rate):
     """Raise where an argument would be ignored without a word."""
     for name, value, goes_with, wanted in (
-        ("observe", observe, "target", target), ("flow", flow, "target", target), ("rate", rate, "viscosity", viscosity),
-    ):  # fmt: skip
+        ("observe", observe, "target", target),
+        ("flow", flow, "target", target),
+        ("rate", rate, "viscosity", viscosity),
+    ):
         if value is not None and wanted is None:
-            raise ValueError(f"{name}= is used with {goes_with}= only; give {goes_with}= or leave {name}= out")
+            raise ValueError(
+                f"{name}= is used with {goes_with}= only; give {goes_with}= or leave {name}= out"
+            )
 
 
 def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
@@ -313,7 +373,9 @@ def _branch_sign(branch) -> int:
 def _first_guess(fluid, parameter, guess, viscosity, density) -> float:
     present = fluid.value(parameter)
     if np.ndim(present) != 0:
-        raise ValueError(f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated")
+        raise ValueError(
+            f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated"
+        )
     if guess is not None:
         return float(positive(guess, "guess"))
     by_drag = None if viscosity is None else drag_guess(fluid, parameter, viscosity, density)
@@ -321,7 +383,8 @@ def _first_guess(fluid, parameter, guess, viscosity, density) -> float:
 
 
 def drag_guess(fluid, parameter: str, viscosity: float, density: float) -> float | None:
-    """The number whose drag alone gives the viscosity; None for one in which the drag is not linear.
+    """The number whose drag alone gives the viscosity; None for one in which the drag is not
+    linear.
 
     Kinetic theory (Marsh et al. 1997); 30-40 % off, and good enough to begin with.
     """
@@ -339,10 +402,15 @@ def _refuse_unreachable(points, proposal, goal, parameter):
     if proposal.why != "minimum":
         return
     lowest = proposal.curve.at(proposal.x)
-    if len(points) >= 3 and _is_near(points, proposal) and lowest.value - goal.target > 3 * lowest.error:
+    if (
+        len(points) >= 3
+        and _is_near(points, proposal)
+        and lowest.value - goal.target > 3 * lowest.error
+    ):
         raise TargetError(
-            f"{goal.name} {goal.target:g} cannot be reached with {parameter}: the smallest measured is "
-            f"{lowest} at {parameter} = {math.exp(proposal.x):.3g}; ask for more than that, or lower kT",
+            f"{goal.name} {goal.target:g} cannot be reached with {parameter}: the smallest "
+            f"measured is {lowest} at {parameter} = {math.exp(proposal.x):.3g}; ask for more than "
+            "that, or lower kT",
             tuple(points),
         )
 
@@ -354,7 +422,7 @@ def _is_near(points, proposal) -> bool:
 def _gave_up(points, goal, parameter, bench) -> str:
     best = min(points, key=lambda p: abs(p.value.value - goal.target))
     return (
-        f"no answer after {len(points)} points and {bench.steps:.2g} particle-steps: nearest is {goal.name} "
-        f"{best.value} at {parameter} = {math.exp(best.x):.3g}, wanted {goal.target:g}; allow more "
-        "max_particle_steps, a larger tolerance, or give a guess"
+        f"no answer after {len(points)} points and {bench.steps:.2g} particle-steps: nearest is "
+        f"{goal.name} {best.value} at {parameter} = {math.exp(best.x):.3g}, wanted "
+        f"{goal.target:g}; allow more max_particle_steps, a larger tolerance, or give a guess"
     )

@@ -78,7 +78,10 @@ def fit(points: list[Point], centre: float) -> Curve:
         missing = CURVATURE * abs(p.value.value) * abs(d) ** (degree + 1) / math.factorial(degree)
         missing_slope = CURVATURE * abs(p.value.value) * abs(d) ** degree
         lower = powers * d ** np.maximum(powers - 1, 0)
-        for row, estimate, extra in ((d**powers, p.value, missing), (lower, p.slope, missing_slope)):
+        for row, estimate, extra in (
+            (d**powers, p.value, missing),
+            (lower, p.slope, missing_slope),
+        ):
             sigma = math.hypot(estimate.error, extra)
             if math.isfinite(sigma) and sigma > 0:
                 rows.append(row / sigma)
@@ -138,9 +141,14 @@ def propose(points: list[Point], target: float, sign: int) -> Proposal:
 
 
 def _foot(points, sign):
-    """Where the slope changes sign below the branch, from the two points around it; None where it was not seen."""
+    """Where the slope changes sign below the branch, from the two points around it; None where it
+    was not seen."""
     branch = [p for p in points if np.sign(p.slope.value) == sign]
-    beyond = [p for p in points if np.sign(p.slope.value) == -sign and all(sign * (q.x - p.x) > 0 for q in branch)]
+    beyond = [
+        p
+        for p in points
+        if np.sign(p.slope.value) == -sign and all(sign * (q.x - p.x) > 0 for q in branch)
+    ]
     if not branch or not beyond:
         return None
     a, b = min(branch, key=lambda p: sign * p.x), max(beyond, key=lambda p: sign * p.x)

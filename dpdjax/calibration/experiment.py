@@ -36,8 +36,8 @@ LEAST_PIECES, LEAST_BLOCKS = 16, 8
 BLOCKS = 32
 """Blocks an error is read off, over all boxes, or fewer that are longer."""
 REMEMBERED = 2.0
-"""Thermal times a block spans at least. In the colloid solvent (a 2.5, kT 0.1, gamma 50) blocks of a fifth of one gave errors a
-sixth too small."""
+"""Thermal times a block spans at least. In the colloid solvent (a 2.5, kT 0.1, gamma 50) blocks of
+a fifth of one gave errors a sixth too small."""
 WINDOW_FRAMES = 16
 
 
@@ -73,16 +73,22 @@ class Bench:
         return int(np.prod(self.state.position.shape[:2]))
 
 
-def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None, report=lambda text: None) -> Bench:
+def prepare(
+    fluid, goal: Goal, key, *, density, side, boxes, dt=None, report=lambda text: None
+) -> Bench:
     """A batch of boxes in equilibrium.
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
     and a long step, for five thermal times at least.
 
-    Raises ValueError for a fluid of several groups, whose boxes would be filled with as many of each.
+    Raises ValueError for a fluid of several groups, whose boxes would be filled with as many of
+    each.
     """
     if fluid.has_radii or len(fluid.interactions) > 1:
-        raise ValueError("this measures one kind of bead, and the fluid has colloids or groups: give dpd.pure_solvent(fluid)")
+        raise ValueError(
+            "this measures one kind of bead, and the fluid has colloids or groups: give "
+            "dpd.pure_solvent(fluid)"
+        )
     build_key, noise_key = jax.random.split(key)
     step = suggest_dt(fluid, density) if dt is None else dt
     skin = suggest_skin(fluid, step)
@@ -98,7 +104,8 @@ def prepare(fluid, goal: Goal, key, *, density, side, boxes, dt=None, report=lam
 
 EQUILIBRATION = Plan(10, 50)
 WEAK = 1.9
-"""Damping rate of the drag that equilibrates, in inverse thermal times: that of gamma 4.5 in units of one at density 3."""
+"""Damping rate of the drag that equilibrates, in inverse thermal times: that of gamma 4.5 in units
+of one at density 3."""
 
 
 def _equilibrate(bench):
@@ -111,13 +118,16 @@ def _equilibrate(bench):
 
 
 def weakly_damped(fluid, density: float):
-    """The fluid of one kind of bead with its potentials, and in place of its drag one that equilibrates fast."""
+    """The fluid of one kind of bead with its potentials, and in place of its drag one that
+    equilibrates fast."""
     (among,) = fluid.interactions
     reach, mass, thermal = max(fluid.reaches()), float(jnp.min(fluid.mass)), thermal_time(fluid)
     # omega = 4 pi gamma density r_c^3 / 90 m for zeta = gamma w^2.
     gamma = WEAK / thermal * 90 * mass / (4 * math.pi * density * reach**3)
     drag = term(central_drag, gamma=gamma, r_c=reach)
-    return dataclasses.replace(fluid, interactions=(dataclasses.replace(among, drag=(drag,), random=None),))
+    return dataclasses.replace(
+        fluid, interactions=(dataclasses.replace(among, drag=(drag,), random=None),)
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,8 +205,9 @@ def _tell_heat(bench, fluid, dt, temperature):
     if math.isnan(temperature) or temperature <= (1 + WARM) * float(fluid.kT):
         return
     warnings.warn(
-        f"{bench.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % above kT, with shear rate "
-        f"{float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= or dt=",
+        f"{bench.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % above "
+        f"kT, with shear rate {float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller "
+        "rate= or dt=",
         stacklevel=2,
     )
 
@@ -208,13 +219,15 @@ def _refuse_heat(bench, fluid, dt, temperature):
     kT = float(fluid.kT)
     if temperature > (1 + HOT) * kT:
         raise RuntimeError(
-            f"the fluid runs at a temperature of {temperature:.3g} instead of kT = {kT:.3g}, with shear rate "
-            f"{float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= or dt="
+            f"the fluid runs at a temperature of {temperature:.3g} instead of kT = {kT:.3g}, with "
+            f"shear rate {float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= "
+            "or dt="
         )
 
 
 def _check_dt(fluid, state, dt):
-    """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next drag."""
+    """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next
+    drag."""
     check_dt(fluid, jax.tree.map(lambda leaf: leaf[0], state), dt)
 
 
@@ -226,9 +239,12 @@ def _extend(bench, fluid, dt):
 
 
 def _replayed(bench, fluid, dt, plan, flow, observe):
-    """:func:`replayed` from the states of a bench, with an error where growth could not repair the run."""
+    """:func:`replayed` from the states of a bench, with an error where growth could not repair the
+    run."""
     say = lambda: bench.report("compiling")
-    after, frames = replayed(fluid, bench.state, bench.keys, dt, plan, flow, tuple(recorders(observe)), compiling=say)
+    after, frames = replayed(
+        fluid, bench.state, bench.keys, dt, plan, flow, tuple(recorders(observe)), compiling=say
+    )
     trouble = bits.describe(after.status)
     if trouble:
         raise RuntimeError(f"the calibration stopped: {trouble}")
@@ -236,23 +252,27 @@ def _replayed(bench, fluid, dt, plan, flow, observe):
 
 
 LEAST, CAUTION = 1.15, 0.6
-"""Least growth of a run that is not good enough, and the share of a long way to go before its length is planned anew."""
+"""Least growth of a run that is not good enough, and the share of a long way to go before its
+length is planned anew."""
 
 
 def planned(pieces: int, ratio: float) -> int:
     """Pieces to run, for one whose error is ``ratio`` times the wanted one after ``pieces``.
 
-    A run is looked at seldom, and where its error is far from small enough: whoever stops at the first estimate of an
-    error that will do picks one that is too small (by a fifth with 16 blocks looked at after every piece).
+    A run is looked at seldom, and where its error is far from small enough: whoever stops at the
+    first estimate of an error that will do picks one that is too small (by a fifth with 16 blocks
+    looked at after every piece).
     """
     growth = ratio**2 if ratio**2 < 2.0 else max(CAUTION * ratio**2, 1.5)
     return math.ceil(pieces * min(max(growth, LEAST), 16.0))
 
 
 def _estimate(series, noise, scale, block: int) -> Estimate:
-    """Mean with an error that covers though it is read off few blocks, each of as many pieces at least.
+    """Mean with an error that covers though it is read off few blocks, each of as many pieces at
+    least.
 
-    Student's t of ``n`` blocks scatters as ``sqrt((n - 1)/(n - 3))``, and the control variate takes one degree of freedom.
+    Student's t of ``n`` blocks scatters as ``sqrt((n - 1)/(n - 3))``, and the control variate takes
+    one degree of freedom.
     """
     blocks, fitted = min(BLOCKS, max(1, len(series) // block) * len(series[0])), 0
     series = scale * np.concatenate(series, axis=1)
@@ -271,7 +291,9 @@ def window_time(fluid, density: float) -> float:
     tests/physics/RESULTS.md).
     """
     damping = damping_rate(fluid, density)
-    return min(0.7 * thermal_time(fluid), 4.0 / damping) if damping > 0 else 0.7 * thermal_time(fluid)
+    return (
+        min(0.7 * thermal_time(fluid), 4.0 / damping) if damping > 0 else 0.7 * thermal_time(fluid)
+    )
 
 
 def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) -> list[Estimate]:
@@ -293,7 +315,8 @@ def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) ->
 
 
 def window_tangents(bench, fluid, names, k, dt, plan):
-    """One window for all boxes along parameter ``k`` of those named, replayed with larger lists where one overflows."""
+    """One window for all boxes along parameter ``k`` of those named, replayed with larger lists
+    where one overflows."""
     trips, shape, goal = trips_of(plan), shape_of(plan, bench.beads), bench.goal
     along = np.eye(len(names))[k]
     for _ in range(8):
@@ -314,11 +337,14 @@ def window_tangents(bench, fluid, names, k, dt, plan):
 
 @functools.partial(jax.jit, static_argnames=("names", "shape", "observe"))
 def _tangent(fluid, state, keys, dt, flow, along, trips, names, shape, observe):
-    """Derivative of the value along a direction in ``ln parameters``, (boxes, frames), and the states after the window.
+    """Derivative of the value along a direction in ``ln parameters``, (boxes, frames), and the
+    states after the window.
 
     The direction is given to the program: one serves all parameters.
     """
-    here = jnp.log(jnp.stack([jnp.asarray(fluid.value(name), state.position.dtype) for name in names]))
+    here = jnp.log(
+        jnp.stack([jnp.asarray(fluid.value(name), state.position.dtype) for name in names])
+    )
 
     def values(x, state, key):
         moved = fluid.set(energies="keep", **dict(zip(names, jnp.exp(x))))
@@ -326,7 +352,9 @@ def _tangent(fluid, state, keys, dt, flow, along, trips, names, shape, observe):
         return trajectory.frames["value"], trajectory.final
 
     def one(state, key):
-        _, slopes, final = jax.jvp(lambda x: values(x, state, key), (here,), (along.astype(here.dtype),), has_aux=True)
+        _, slopes, final = jax.jvp(
+            lambda x: values(x, state, key), (here,), (along.astype(here.dtype),), has_aux=True
+        )
         return slopes, final
 
     return each_member(one)(state, keys)
@@ -343,4 +371,3 @@ def plateau(tangents) -> Estimate:
     if good:
         return good[-1]
     return min(estimates[len(estimates) // 4 :], key=lambda e: e.error)
-

@@ -49,7 +49,8 @@ def _shear_stress(fluid, state):
 
 
 def viscosity_goal_at(fluid, density: float, target: float, tolerance: float) -> Goal:
-    """:func:`viscosity_goal` at the rate that suits this fluid, thin as it may be in drag and thick in kinetics."""
+    """:func:`viscosity_goal` at the rate that suits this fluid, thin as it may be in drag and thick
+    in kinetics."""
     viscosity = max(target, rough_viscosity(fluid, density))
     return viscosity_goal(target, suggest_rate(fluid, density, viscosity, tolerance))
 
@@ -80,15 +81,22 @@ def check_observed(goal: Goal, fluid, state):
     """Raise TypeError unless what is observed of one state is one real number."""
     found = jax.eval_shape(goal.observe, fluid, state)["value"]
     if getattr(found, "shape", None) != () or jnp.issubdtype(found.dtype, jnp.complexfloating):
-        kind = f"an array of shape {found.shape}" if hasattr(found, "shape") else f"a {type(found).__name__}"
+        kind = (
+            f"an array of shape {found.shape}"
+            if hasattr(found, "shape")
+            else f"a {type(found).__name__}"
+        )
         raise TypeError(f"observe returns {kind} where the target is one number; {ONE_NUMBER}")
 
 
 def damped(fluid, density: float) -> float:
-    """:func:`damping_rate`; raises ValueError where it is zero: shear would heat such a fluid for ever."""
+    """:func:`damping_rate`; raises ValueError where it is zero: shear would heat such a fluid for
+    ever."""
     omega = damping_rate(fluid, density)
     if omega <= 0:
-        raise ValueError("this fluid has no drag, so no steady viscosity; give it a gamma above zero")
+        raise ValueError(
+            "this fluid has no drag, so no steady viscosity; give it a gamma above zero"
+        )
     return omega
 
 
@@ -99,12 +107,13 @@ def rough_viscosity(fluid, density: float) -> float:
 
 
 HEATING = 2.5
-"""Measured viscous heating over its mean-field estimate (2.2 at a = 0, 2.7 for the colloid solvent)."""
+"""Measured viscous heating over its mean-field estimate (2.2 at a = 0, 2.7 for the colloid
+solvent)."""
 RATE_LIMIT = 0.8
 """Largest shear rate in units of the inverse thermal time ``sqrt(kT / m) / r_c``.
 
-Beyond, structure has no time to relax: at (a 2.5, kT 0.1, gamma 51) LAMMPS gives 1.2 +- 0.8 % less at a rate of
-1.12 than at 0.32 of these units (tests/physics/lammps.json).
+Beyond, structure has no time to relax: at (a 2.5, kT 0.1, gamma 51) LAMMPS gives 1.2 +- 0.8 % less
+at a rate of 1.12 than at 0.32 of these units (tests/physics/lammps.json).
 """
 
 

@@ -81,8 +81,15 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
     state, points = optimiser.init(x), []
     wanted = [tolerance * abs(goal.target) / SIGMAS for goal in goals]
     while len(points) < most_points:
-        points.append(_measure(fluid, parameters, benches, x, [1.5 * w for w in wanted], first=not points, say=say))
-        say(", ".join(f"{n} {math.exp(v):.4g}" for n, v in zip(parameters, x)) + f": {points[-1].values}")
+        points.append(
+            _measure(
+                fluid, parameters, benches, x, [1.5 * w for w in wanted], first=not points, say=say
+            )
+        )
+        say(
+            ", ".join(f"{n} {math.exp(v):.4g}" for n, v in zip(parameters, x))
+            + f": {points[-1].values}"
+        )
         answer, covariance, predicted = solve(points, goals)
         settled = len(points) > 1 and np.max(np.abs(answer - points[-1].x)) < 0.1
         if settled and all(p <= w for p, w in zip(predicted, wanted)):
@@ -90,13 +97,20 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
         updates, state = optimiser.update(gradient(points[-1], goals), state, x)
         x = np.asarray(optax.apply_updates(x, updates), float)
     else:
-        raise RuntimeError(f"no answer after {most_points} points, the last at {dict(zip(parameters, np.exp(x)))}")
+        raise RuntimeError(
+            f"no answer after {most_points} points, the last at {dict(zip(parameters, np.exp(x)))}"
+        )
     fluid = fluid.set(energies="keep", **{n: math.exp(v) for n, v in zip(parameters, answer)})
     fresh = _fresh(fluid, benches, wanted, say)
     errors = np.exp(answer) * np.sqrt(np.diag(covariance))
-    estimates = {n: Estimate(math.exp(v), float(e), len(points)) for n, v, e in zip(parameters, answer, errors)}
+    estimates = {
+        n: Estimate(math.exp(v), float(e), len(points))
+        for n, v, e in zip(parameters, answer, errors)
+    }
     measured = {goal.name: f for goal, f in zip(goals, fresh)}
-    return JointCalibration(estimates, measured, fluid, tuple(points), sum(b.steps for b in benches))
+    return JointCalibration(
+        estimates, measured, fluid, tuple(points), sum(b.steps for b in benches)
+    )
 
 
 def gradient(point: JointPoint, goals) -> np.ndarray:
@@ -159,4 +173,7 @@ def _fresh(fluid, benches, wanted, say):
     settle = 0.5 * thermal_time(fluid)
     for bench in benches:
         bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
-    return [experiment.measure(b, fluid, w, settle, int(1e9), say).estimate for b, w in zip(benches, wanted)]
+    return [
+        experiment.measure(b, fluid, w, settle, int(1e9), say).estimate
+        for b, w in zip(benches, wanted)
+    ]

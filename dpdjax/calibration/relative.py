@@ -11,27 +11,43 @@ from dpdjax.model.colloids import pure_solvent
 
 
 def relative_viscosity(
-    trajectory, *, solvent: Estimate | None = None, key=None, tolerance: float = 0.02, skip: float = 0.1, blocks: int = 20
+    trajectory,
+    *,
+    solvent: Estimate | None = None,
+    key=None,
+    tolerance: float = 0.02,
+    skip: float = 0.1,
+    blocks: int = 20,
 ) -> Estimate:
-    """The viscosity of a sheared suspension over that of its solvent at the density between the colloids.
+    """The viscosity of a sheared suspension over that of its solvent at the density between the
+    colloids.
 
-    Colloids displace less solvent than their volume, so the solvent between them is thinner than planned, and its
-    viscosity another. Its density is read off the last state of each replica, a snapshot, whose scatter is not in the error:
-    where that matters, average :func:`dpdjax.solvent_density` over many states, measure there and give ``solvent``.
+    Colloids displace less solvent than their volume, so the solvent between them is thinner than
+    planned, and its viscosity another. Its density is read off the last state of each replica, a
+    snapshot, whose scatter is not in the error: where that matters, average
+    :func:`dpdjax.solvent_density` over many states, measure there and give ``solvent``.
 
     Args:
-        trajectory: a run with ``flow=dpd.shear(rate)`` recorded with ``observe=dpd.mean(dpd.shear_record)``, one or replicas.
+        trajectory: a run with ``flow=dpd.shear(rate)`` recorded with
+            ``observe=dpd.mean(dpd.shear_record)``, one or replicas.
         solvent: viscosity of the solvent, where it is known; measured by default.
         key: a PRNG key for that measurement.
         tolerance: of that measurement, relative; its standard error is a third.
         skip, blocks: as for :func:`dpdjax.shear_viscosity`.
 
-    Raises ValueError as :func:`dpdjax.shear_viscosity` and :func:`dpdjax.solvent_density` do, TypeError without a key.
+    Raises ValueError as :func:`dpdjax.shear_viscosity` and :func:`dpdjax.solvent_density` do,
+    TypeError without a key.
     """
     suspended = shear_viscosity(trajectory, skip=skip, blocks=blocks)
     if solvent is None:
         member = lambda k: jax.tree.map(lambda leaf: leaf[k], trajectory.final)
-        states = map(member, range(len(trajectory.final.position))) if trajectory.is_batch else [trajectory.final]
+        states = (
+            map(member, range(len(trajectory.final.position)))
+            if trajectory.is_batch
+            else [trajectory.final]
+        )
         density = float(np.mean([solvent_density(trajectory.fluid, state) for state in states]))
-        solvent = measure_viscosity(pure_solvent(trajectory.fluid), key=key, density=density, tolerance=tolerance).estimate
+        solvent = measure_viscosity(
+            pure_solvent(trajectory.fluid), key=key, density=density, tolerance=tolerance
+        ).estimate
     return suspended.over(solvent)

@@ -20,14 +20,16 @@ from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE
 REBUILD_COST = 1.0
 """One rebuild in units of one force pass over the same list (measured: tests/benchmarks)."""
 SORTING_COST = 2.4
-"""Sorting one bead of the larger of two groups, in units of the forces of one pair (measured: tests/benchmarks)."""
+"""Sorting one bead of the larger of two groups, in units of the forces of one pair (measured:
+tests/benchmarks)."""
 CLOSE_NEIGHBOURS = 6
 """Of a colloid in a gel; each shares half of the damping of its pair."""
 SAMPLES = 400
 DIRECTIONS = {CENTRAL: 1, TRANSVERSE: 2, FULL: 3}
 """In which a friction acts."""
 DRAG_STRESS = {CENTRAL: 1, TRANSVERSE: 4, FULL: 5}
-"""What a friction adds to the viscosity, over one along the line of centres: the mean of (x y)^2 and of y^2 over a sphere."""
+"""What a friction adds to the viscosity, over one along the line of centres: the mean of (x y)^2
+and of y^2 over a sphere."""
 TOUCHING = 1e-6
 """Gap of colloids that all but touch, in reaches: some laws are zero in overlap."""
 DEEP = 40.0
@@ -44,35 +46,46 @@ def suggest_dt(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -
     tests/physics/RESULTS.md). Never above a hundredth of the thermal time
     ``r_c sqrt(m / kT)``, nor above 0.7 of what :func:`dt_limits` allows colloids.
 
-    ``density``: beads per volume of all, or one number for each species; ``sizes``: relative sizes of the
-    smallest and the largest colloid.
+    ``density``: beads per volume of all, or one number for each species; ``sizes``: relative sizes
+    of the smallest and the largest colloid.
     """
     numbers = extreme(fluid)
-    error = 0.7 / (1.0 + min(_over(repulsion_energy(numbers, density), float(numbers.kT)), 16.0) / 20.0)
+    error = 0.7 / (
+        1.0 + min(_over(repulsion_energy(numbers, density), float(numbers.kT)), 16.0) / 20.0
+    )
     rate = damping_rate(numbers, density)
     limits = [0.7 * limit for _, limit in dt_limits(fluid, density, sizes)[1:]]
     dt = min(_over(0.005 / error, rate), 0.01 * thermal_time(numbers), *limits)
     if not math.isfinite(dt):
-        raise ValueError("nothing limits the time step: the fluid has neither kT nor a force; give dt=")
+        raise ValueError(
+            "nothing limits the time step: the fluid has neither kT nor a force; give dt="
+        )
     return dt
 
 
 def thermal_time(fluid: Fluid) -> float:
-    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach [time]; infinite at kT 0."""
-    return shortest_reach(fluid) * math.sqrt(_over(float(np.min(fluid.mass)), float(np.max(fluid.kT))))
+    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach [time]; infinite at kT
+    0."""
+    return shortest_reach(fluid) * math.sqrt(
+        _over(float(np.min(fluid.mass)), float(np.max(fluid.kT)))
+    )
 
 
 def _over(number: float, rate: float) -> float:
-    """``number / rate``, infinite for a rate of 0: a floor under it would be a number in some unit."""
+    """``number / rate``, infinite for a rate of 0: a floor under it would be a number in some
+    unit."""
     return number / rate if rate > 0 else math.inf
 
 
-def dt_limits(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> list[tuple[str, float]]:
+def dt_limits(
+    fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)
+) -> list[tuple[str, float]]:
     """What limits the time step, and the largest dt it allows [time].
 
-    Damping is stable below 2 over its largest rate, accurate below 1 over it; the beads of a solvent, whose
-    damping is known on average only, are kept below half of that. Oscillations are stable below 2 over
-    their frequency. ``sizes``: relative sizes of the smallest and the largest colloid; the smallest is the first to suffer.
+    Damping is stable below 2 over its largest rate, accurate below 1 over it; the beads of a
+    solvent, whose damping is known on average only, are kept below half of that. Oscillations are
+    stable below 2 over their frequency. ``sizes``: relative sizes of the smallest and the largest
+    colloid; the smallest is the first to suffer.
     """
     close = f"the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours"
     names = (
@@ -81,7 +94,15 @@ def dt_limits(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) ->
         f"lubrication: dt times {close} is to stay below 1",
         "contact force: dt times the frequency of two touching colloids is to stay below 1",
     )
-    return list(zip(names, (min(limits) for limits in zip(*(_limits(case, density, sizes) for case in _cases(fluid))))))
+    return list(
+        zip(
+            names,
+            (
+                min(limits)
+                for limits in zip(*(_limits(case, density, sizes) for case in _cases(fluid)))
+            ),
+        )
+    )
 
 
 def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
@@ -99,7 +120,8 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
 
 
 def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
-    """What is allowed in a run with colloids but seldom meant, each with the number that would pass."""
+    """What is allowed in a run with colloids but seldom meant, each with the number that would
+    pass."""
     numbers = extreme(fluid)
     if not numbers.has_radii:
         return deep_wells(fluid)
@@ -123,10 +145,13 @@ def deep_wells(fluid: Fluid) -> list[str]:
     """Which potentials are so deep that beads never leave: often a depth meant in kT."""
     if not np.all(np.asarray(fluid.kT) > 0):
         return []
-    depths = [(t, summary.depth_in_kT(fluid, i, t)[1]) for i in fluid.interactions for t in i.conservative]
+    depths = [
+        (t, summary.depth_in_kT(fluid, i, t)[1]) for i in fluid.interactions for t in i.conservative
+    ]
     return [
-        f"{name_of(t.law)} is {depth:.3g} kT deep, and beads that meet there stay for good: energies are given in the unit of "
-        f"energy, in which kT is {float(np.min(np.asarray(fluid.kT))):.3g}"
+        f"{name_of(t.law)} is {depth:.3g} kT deep, and beads that meet there stay for good: "
+        "energies are given in the unit of energy, in which kT is "
+        f"{float(np.min(np.asarray(fluid.kT))):.3g}"
         for t, depth in depths
         if depth > DEEP
     ]
@@ -147,7 +172,8 @@ def cut_short(fluid: Fluid) -> list[str]:
                 if cut < far * (1 - 1e-6) and far > worst.get((k, n), ("", 0.0, 0.0))[1]:
                     worst[k, n] = name_of(t.law), far, cut
     return [
-        f"{name} is cut off at h = {cut:.3g}, short of the reach that its law declares: give it a reach of {far:.3g}"
+        f"{name} is cut off at h = {cut:.3g}, short of the reach that its law declares: give it a "
+        f"reach of {far:.3g}"
         for name, far, cut in worst.values()
     ]
 
@@ -162,10 +188,12 @@ def _diffusion_time(numbers) -> float:
 
 
 def damping_rate(fluid: Fluid, density) -> float:
-    """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times the integral of zeta [1/time].
+    """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times
+    the integral of zeta [1/time].
 
-    Twice or three times that for frictions across the line of centres, or in all directions. Or that of the spin of a
-    sphere, twice ``density R^2 / 3 I`` times the integral for what acts across.
+    Twice or three times that for frictions across the line of centres, or in all directions. Or
+    that of the spin of a sphere, twice ``density R^2 / 3 I`` times the integral for what acts
+    across.
 
     ``density`` as for :func:`suggest_dt`. Drag between colloids is not in it.
     """
@@ -186,34 +214,56 @@ def drag_viscosity(fluid: Fluid, density: float) -> float:
     """Viscosity of the drag among beads of one kind, without correlations [energy time/volume].
 
     ``2 pi/15 density^2`` times the integral of ``zeta r^4`` (Marsh et al. 1997), which is
-    ``2 pi gamma density^2 r_c^5 / 1575`` for ``zeta = gamma w^2``; four times that for frictions across the line of
-    centres, five times for those in all directions, as beads that do not turn feel the whole flow.
+    ``2 pi gamma density^2 r_c^5 / 1575`` for ``zeta = gamma w^2``; four times that for frictions
+    across the line of centres, five times for those in all directions, as beads that do not turn
+    feel the whole flow.
     """
-    fourth = [(DRAG_STRESS[t.projector], _integral(fluid, i, t, 4)) for i in fluid.interactions for t in i.drag]
+    fourth = [
+        (DRAG_STRESS[t.projector], _integral(fluid, i, t, 4))
+        for i in fluid.interactions
+        for t in i.drag
+    ]
     return 2 * math.pi / 15 * density**2 * sum(share * integral for share, integral in fourth)
 
 
 def kinetic_theory_viscosity(fluid: Fluid, density: float) -> float:
-    """The viscosity without correlations, ``rho m D / 2`` and :func:`drag_viscosity` (Marsh et al. 1997); 40 % off.
+    """The viscosity without correlations, ``rho m D / 2`` and :func:`drag_viscosity` (Marsh et al.
+    1997); 40 % off.
 
     Infinite without drag.
     """
-    return _over(0.5 * density * float(fluid.kT), damping_rate(fluid, density)) + drag_viscosity(fluid, density)
+    return _over(0.5 * density * float(fluid.kT), damping_rate(fluid, density)) + drag_viscosity(
+        fluid, density
+    )
 
 
 def repulsion_energy(fluid: Fluid, density) -> float:
-    """Mean-field repulsion of a solvent bead, ``density`` times the integral of the potentials, at least 0 [energy]."""
+    """Mean-field repulsion of a solvent bead, ``density`` times the integral of the potentials, at
+    least 0 [energy]."""
     densities = _densities(fluid, density)
-    within = [i for i in fluid.interactions if i.groups[0] == i.groups[1] and not _is_between_colloids(fluid, i)]
-    energies = [densities[list(i.groups[0])].sum() * sum(_volume_integral(fluid, i, t) for t in i.conservative) for i in within]
+    within = [
+        i
+        for i in fluid.interactions
+        if i.groups[0] == i.groups[1] and not _is_between_colloids(fluid, i)
+    ]
+    energies = [
+        densities[list(i.groups[0])].sum()
+        * sum(_volume_integral(fluid, i, t) for t in i.conservative)
+        for i in within
+    ]
     return max([0.0, *map(float, energies)])
 
 
-def pair_frequency(fluid: Fluid, interaction: Interaction, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
-    """Fastest oscillation of two beads, ``sqrt(U'' / mu)``, at distances they reach with 4 kT [1/time]."""
+def pair_frequency(
+    fluid: Fluid, interaction: Interaction, sizes: tuple[float, float] = (1.0, 1.0)
+) -> float:
+    """Fastest oscillation of two beads, ``sqrt(U'' / mu)``, at distances they reach with 4 kT
+    [1/time]."""
     stiffest = 0.0
     for t in interaction.conservative:
-        _, energy, curvature, _ = _sampled(fluid, interaction, t, curved=True, sizes=sizes, inside=True)
+        _, energy, curvature, _ = _sampled(
+            fluid, interaction, t, curved=True, sizes=sizes, inside=True
+        )
         # The well is where beads are: laws need not make sense in deep overlap.
         reached = energy - energy[-SAMPLES:].min() <= 4.0 * float(fluid.kT)
         stiffest = max(stiffest, float(np.max(curvature[reached], initial=0.0)))
@@ -222,21 +272,27 @@ def pair_frequency(fluid: Fluid, interaction: Interaction, sizes: tuple[float, f
 
 
 def shortest_reach(fluid: Fluid) -> float:
-    """Shortest gap at which any friction, or else potential, between other beads than two colloids ends [length]."""
-    solvent = [i for i in fluid.interactions if not _is_between_colloids(fluid, i)] or fluid.interactions
+    """Shortest gap at which any friction, or else potential, between other beads than two colloids
+    ends [length]."""
+    solvent = [
+        i for i in fluid.interactions if not _is_between_colloids(fluid, i)
+    ] or fluid.interactions
     terms = [(i, t) for i in solvent for t in i.drag] or [(i, t) for i in solvent for t in i.terms]
     return min(float(np.min(t.between(**_given(fluid, i))[1])) for i, t in terms)
 
 
 def suggest_skin(fluid: Fluid, dt, interaction: int = 0, sorting: float = 0.0) -> float:
-    """The skin of one list that costs least: wide lists hold more pairs, narrow ones are built more often.
+    """The skin of one list that costs least: wide lists hold more pairs, narrow ones are built more
+    often.
 
     ``sorting``: what a rebuild costs besides, in units of one force pass over the list.
     """
     numbers = extreme(fluid)
     reach = numbers.reaches()[interaction]
     groups = numbers.interactions[interaction].groups
-    fastest = sum(4.5 * math.sqrt(float(numbers.kT) / _lightest(numbers, group)) for group in groups)
+    fastest = sum(
+        4.5 * math.sqrt(float(numbers.kT) / _lightest(numbers, group)) for group in groups
+    )
     skins = np.round(np.linspace(0.02, 0.6, 59), 2) * reach
     rebuilds = fastest * float(np.max(np.asarray(dt))) / skins
     cost = (1 + skins / reach) ** 3 * (1 + REBUILD_COST * rebuilds) + sorting * rebuilds
@@ -247,41 +303,64 @@ def suggest_skins(fluid: Fluid, dt, counts, volume: float) -> list[float]:
     """The cheapest skin of each list, for ``counts`` beads of each species in a volume."""
 
     def sorting(interaction, reach):
-        """Between two groups, what sorting the larger one costs over what the forces of the pairs do."""
+        """Between two groups, what sorting the larger one costs over what the forces of the pairs
+        do."""
         first, second = (sum(counts[k] for k in group) for group in interaction.groups)
         pairs = first * second / volume * 4 / 3 * math.pi * reach**3
-        return 0.0 if interaction.groups[0] == interaction.groups[1] else SORTING_COST * max(first, second) / max(pairs, 1.0)
+        return (
+            0.0
+            if interaction.groups[0] == interaction.groups[1]
+            else SORTING_COST * max(first, second) / max(pairs, 1.0)
+        )
 
     each = enumerate(zip(fluid.interactions, fluid.reaches()))
     return [suggest_skin(fluid, dt, k, sorting(i, reach)) for k, (i, reach) in each]
 
 
 def extreme(fluid: Fluid, least: str | None = None) -> Fluid:
-    """The fluid with every scan and every table replaced by its largest number; masses and ``least`` by the smallest.
+    """The fluid with every scan and every table replaced by its largest number; masses and
+    ``least`` by the smallest.
 
     Raises ValueError for numbers that are being traced.
     """
     if not is_concrete(fluid):
         raise ValueError(
-            "this needs plain numbers: build the state with one fluid outside vmap or grad, then scan or differentiate the run"
+            "this needs plain numbers: build the state with one fluid outside vmap or grad, then "
+            "scan or differentiate the run"
         )
     largest = lambda leaf: np.max(np.asarray(leaf, float))
 
     def of_term(t):
-        coefficients = {k: np.min(np.asarray(c, float)) if k == least else largest(c) for k, c in t.coefficients.items()}
-        return dataclasses.replace(t, coefficients=coefficients, cut=None if t.cut is None else largest(t.cut))
+        coefficients = {
+            k: np.min(np.asarray(c, float)) if k == least else largest(c)
+            for k, c in t.coefficients.items()
+        }
+        return dataclasses.replace(
+            t, coefficients=coefficients, cut=None if t.cut is None else largest(t.cut)
+        )
 
     mass = np.asarray(fluid.mass, float)
-    of_each = lambda values, extreme: tuple(None if x is None else extreme(np.asarray(x, float)) for x in values)
+    of_each = lambda values, extreme: tuple(
+        None if x is None else extreme(np.asarray(x, float)) for x in values
+    )
     radius, inertia = of_each(fluid.radius, np.max), of_each(fluid.inertia, np.min)
     interactions = tuple(i.map_terms(of_term) for i in fluid.interactions)
-    return Fluid(interactions, largest(fluid.kT), mass.reshape(-1, mass.shape[-1]).min(0), radius, inertia)
+    return Fluid(
+        interactions, largest(fluid.kT), mass.reshape(-1, mass.shape[-1]).min(0), radius, inertia
+    )
 
 
 def _cases(fluid):
-    """Fluids one of which is the worst of a scan: all numbers at their largest, and one of them at its smallest."""
+    """Fluids one of which is the worst of a scan: all numbers at their largest, and one of them at
+    its smallest."""
     yield extreme(fluid)
-    scanned = {name for i in fluid.interactions for t in i.terms for name, c in t.coefficients.items() if np.size(c) > 1}
+    scanned = {
+        name
+        for i in fluid.interactions
+        for t in i.terms
+        for name, c in t.coefficients.items()
+        if np.size(c) > 1
+    }
     yield from (extreme(fluid, name) for name in sorted(scanned))
 
 
@@ -305,33 +384,47 @@ def _is_between_colloids(fluid, interaction: Interaction) -> bool:
 
 
 def _given(fluid, interaction, sizes=(1.0, 1.0)) -> dict:
-    R_i, R_j = (_largest_radius(fluid, group) * size for group, size in zip(interaction.groups, sizes))
+    R_i, R_j = (
+        _largest_radius(fluid, group) * size for group, size in zip(interaction.groups, sizes)
+    )
     return {"R_i": R_i, "R_j": R_j, "kT": float(np.max(fluid.kT))}
 
 
 def _masses(fluid, interaction, sizes=(1.0, 1.0)) -> tuple[float, float]:
-    return tuple(_lightest(fluid, group) * size**3 for group, size in zip(interaction.groups, sizes))
+    return tuple(
+        _lightest(fluid, group) * size**3 for group, size in zip(interaction.groups, sizes)
+    )
 
 
 def _arms(fluid):
-    """``R^2 / I`` of each species: what a friction across the line of centres does to its spin; 0 where there is none."""
-    turns = lambda R, inertia: 0.0 if inertia is None else float(np.max(R)) ** 2 / float(np.min(inertia))
+    """``R^2 / I`` of each species: what a friction across the line of centres does to its spin; 0
+    where there is none."""
+    turns = lambda R, inertia: (
+        0.0 if inertia is None else float(np.max(R)) ** 2 / float(np.min(inertia))
+    )
     return np.array([turns(R, inertia) for R, inertia in zip(fluid.radius, fluid.inertia)])
 
 
 def _network_rate(fluid, interaction, sizes) -> float:
-    """Damping rate of the first colloid among close neighbours like the second, of its velocity or its spin [1/time].
+    """Damping rate of the first colloid among close neighbours like the second, of its velocity or
+    its spin [1/time].
 
     Neighbours as heavy as it give way, which is in it: each pair's rate counts half.
     """
     largest = lambda t: _largest_friction(fluid, interaction, t, sizes)
-    friction = lambda projectors: sum(largest(t) for t in interaction.drag if t.projector in projectors)
-    mass, arm = _masses(fluid, interaction, sizes)[0], np.max(_arms(fluid)[list(interaction.groups[0])]) / sizes[0] ** 3
+    friction = lambda projectors: sum(
+        largest(t) for t in interaction.drag if t.projector in projectors
+    )
+    mass, arm = (
+        _masses(fluid, interaction, sizes)[0],
+        np.max(_arms(fluid)[list(interaction.groups[0])]) / sizes[0] ** 3,
+    )
     return CLOSE_NEIGHBOURS * max(friction(ALONG) / mass, friction(ACROSS) * (1.0 / mass + arm))
 
 
 def _largest_friction(fluid, interaction, term, sizes) -> float:
-    """Largest value of a drag from contact on; from where it is sampled for one without a limit at contact."""
+    """Largest value of a drag from contact on; from where it is sampled for one without a limit at
+    contact."""
     law, reach = term.between(np.max, **_given(fluid, interaction, sizes))
     with jax.ensure_compile_time_eval():
         touching = np.asarray(law(jnp.asarray([0.0, TOUCHING * float(reach)])), float)
@@ -350,10 +443,14 @@ def _integral(fluid, interaction, term, power: int) -> float:
     return float(np.sum(r**power * values) * width)
 
 
-def _sampled(fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0), inside: bool = False):
-    """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and the step.
+def _sampled(
+    fluid, interaction, term, curved: bool = False, sizes=(1.0, 1.0), inside: bool = False
+):
+    """Centre distances in equal steps of the gap up to the reach, the law there, its curvature, and
+    the step.
 
-    ``inside``: of a point and a sphere from as deep inside on, where a wall may be that starts outside.
+    ``inside``: of a point and a sphere from as deep inside on, where a wall may be that starts
+    outside.
     """
     given = _given(fluid, interaction, sizes)
     law, reach = term.between(np.max, **given)

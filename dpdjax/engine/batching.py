@@ -1,4 +1,5 @@
-"""What of a run is a batch, and parts of a program XLA is to keep apart: stages, branches that stay so under ``vmap``."""
+"""What of a run is a batch, and parts of a program XLA is to keep apart: stages, branches that stay
+so under ``vmap``."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +7,8 @@ import numpy as np
 
 
 def on_cpu() -> bool:
-    """Whether programs are made for a CPU, where another way of doing the same may be the fast one."""
+    """Whether programs are made for a CPU, where another way of doing the same may be the fast
+    one."""
     return jax.default_backend() == "cpu"
 
 
@@ -14,8 +16,9 @@ def apart(function, inputs, number):
     """``function(*inputs)`` as a part of the program across whose edges XLA fuses nothing.
 
     XLA on a CPU computes a value that is cheap to compute again at every one of its uses, however
-    many; a barrier does not keep it from it, a branch does. ``number`` is any that XLA cannot know; the
-    part is skipped, its outputs zero, where that is not finite. Elsewhere the function is just called.
+    many; a barrier does not keep it from it, a branch does. ``number`` is any that XLA cannot know;
+    the part is skipped, its outputs zero, where that is not finite. Elsewhere the function is just
+    called.
     """
     if not on_cpu():
         return function(*inputs)
@@ -25,12 +28,14 @@ def apart(function, inputs, number):
 
 
 def batch_axes(fluid, dt, flow):
-    """The ``in_axes`` for ``jax.vmap`` of the numbers of a run: 0 for those with an axis of their own, which are a batch."""
+    """The ``in_axes`` for ``jax.vmap`` of the numbers of a run: 0 for those with an axis of their
+    own, which are a batch."""
     return fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes()
 
 
 def differing(fluid, dt, flow) -> dict:
-    """The numbers of a run that differ from member to member, by their innermost name: (members, ...) each, known values."""
+    """The numbers of a run that differ from member to member, by their innermost name: (members,
+    ...) each, known values."""
     numbers, found = (fluid, dt, flow), {}
 
     def note(path, axis, values):
@@ -44,19 +49,25 @@ def differing(fluid, dt, flow) -> dict:
 
 
 def named(member: int, numbers) -> str:
-    """A member of a batch with those of its ``numbers``, (fluid, dt, flow), that differ from member to member."""
-    own = ", ".join(f"{name} = {np.array2string(values[member], precision=6)}" for name, values in differing(*numbers).items())
+    """A member of a batch with those of its ``numbers``, (fluid, dt, flow), that differ from member
+    to member."""
+    own = ", ".join(
+        f"{name} = {np.array2string(values[member], precision=6)}"
+        for name, values in differing(*numbers).items()
+    )
     return f"member {member}" + (f" ({own})" if own else "")
 
 
 def chosen(tree, axes, which):
-    """The members ``which`` of a batch of numbers; ``axes``, a prefix of the tree, are 0 for what is a batch, else None."""
+    """The members ``which`` of a batch of numbers; ``axes``, a prefix of the tree, are 0 for what
+    is a batch, else None."""
     own = lambda axis, part: part if axis is None else jax.tree.map(lambda leaf: leaf[which], part)
     return jax.tree.map(own, axes, tree, is_leaf=lambda axis: axis is None)
 
 
 def each_member(function, axes=0):
-    """``jax.vmap(function, axes)``; on a CPU the members run one after another, for its caches hold one box but not many.
+    """``jax.vmap(function, axes)``; on a CPU the members run one after another, for its caches hold
+    one box but not many.
 
     ``axes`` as for ``jax.vmap``: a prefix of the arguments, of 0 and None.
     """
@@ -69,7 +80,11 @@ def each_member(function, axes=0):
 
         def one(members):
             members = iter(members)
-            return function(*jax.tree.unflatten(tree, [next(members) if b else x for b, x in zip(batched, leaves)]))
+            return function(
+                *jax.tree.unflatten(
+                    tree, [next(members) if b else x for b, x in zip(batched, leaves)]
+                )
+            )
 
         return jax.lax.map(one, [x for b, x in zip(batched, leaves) if b])
 
@@ -139,12 +154,16 @@ def one_by_one(work):
 
     def apply(needed, old, inputs):
         order = jnp.argsort(~needed)
-        pick = lambda tree, k: jax.tree.map(lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), tree)
+        pick = lambda tree, k: jax.tree.map(
+            lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), tree
+        )
 
         def visit(turn, members):
             k = order[turn]
             new = work(pick(members, k), *pick(inputs, k))
-            return jax.tree.map(lambda x, y: jax.lax.dynamic_update_index_in_dim(x, y, k, 0), members, new)
+            return jax.tree.map(
+                lambda x, y: jax.lax.dynamic_update_index_in_dim(x, y, k, 0), members, new
+            )
 
         return jax.lax.fori_loop(0, jnp.sum(needed), visit, old)
 
@@ -152,12 +171,15 @@ def one_by_one(work):
 
 
 def all_at_once(work):
-    """The work for a whole batch if any member needs it, kept where it does: ``f(needed, old, inputs)``."""
+    """The work for a whole batch if any member needs it, kept where it does:
+    ``f(needed, old, inputs)``."""
 
     def apply(needed, old, inputs):
         def do():
             new = jax.vmap(work)(old, *inputs)
-            return jax.tree.map(lambda n, o: jnp.where(needed.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)
+            return jax.tree.map(
+                lambda n, o: jnp.where(needed.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old
+            )
 
         return jax.lax.cond(jnp.any(needed), do, lambda: old)
 
@@ -167,4 +189,6 @@ def all_at_once(work):
 def _all_batched(axis_size, in_batched, arguments):
     """The arguments of a batching rule with the batch in front of every one of them."""
     repeat = lambda x: jnp.broadcast_to(x, (axis_size, *jnp.shape(x)))
-    return jax.tree.map(lambda batched, x: x if batched else repeat(x), tuple(in_batched), arguments)
+    return jax.tree.map(
+        lambda batched, x: x if batched else repeat(x), tuple(in_batched), arguments
+    )

@@ -36,7 +36,8 @@ class Box:
         return Box(self.lengths, self.strain + increment).folded()[0]
 
     def folded(self):
-        """The same lattice, with its strain within half a period ``Lx/Ly`` of zero, and how many periods were taken off."""
+        """The same lattice, with its strain within half a period ``Lx/Ly`` of zero, and how many
+        periods were taken off."""
         period = self.lengths[0] / self.lengths[1]
         periods = jnp.round(self.strain / period)
         return Box(self.lengths, self.strain - period * periods), periods
@@ -97,7 +98,9 @@ def in_lattice(box: Box, position):
     s = jnp.stack([(x - box.strain * y) / lx, y / ly, z / lz], axis=1)
     turns = jnp.floor(s)
     columns, rows, layers = turns[:, 0], turns[:, 1], turns[:, 2]
-    image = jnp.stack([x - rows * (box.strain * ly) - columns * lx, y - rows * ly, z - layers * lz], axis=1)
+    image = jnp.stack(
+        [x - rows * (box.strain * ly) - columns * lx, y - rows * ly, z - layers * lz], axis=1
+    )
     return s - turns, image
 
 

@@ -33,7 +33,8 @@ MARGIN = 1.05
 
 
 def all_pairs(grid, box: boxes.Box, position, ids=None):
-    """The list of :func:`cell_pairs` by trying every pair: for boxes of few cells, and for very few beads."""
+    """The list of :func:`cell_pairs` by trying every pair: for boxes of few cells, and for very few
+    beads."""
     n = position.shape[0]
     i, j = _every_pair(grid)
     if ids is not None:
@@ -74,7 +75,9 @@ def cell_pairs(grid, box: boxes.Box, position, ids=None):
         word, bit, filled, count = part(functools.partial(_set_bits, capacity=room), words)
         bead, slot = part(functools.partial(_bead_and_slot, grid), ranges, word, bit)
         a, b, swap = part(functools.partial(_ends, grid), seekers, rows, bead, slot)
-        ends = jnp.stack([jnp.where(filled, end, n) for end in (jnp.where(swap, b, a), jnp.where(swap, a, b))])
+        ends = jnp.stack(
+            [jnp.where(filled, end, n) for end in (jnp.where(swap, b, a), jnp.where(swap, a, b))]
+        )
         # The next block goes where this one is not filled.
         idx = jax.lax.dynamic_update_slice_in_dim(idx, ends, total, 1)
         pairs |= (count > room) | (total + room > grid.capacity)
@@ -82,7 +85,9 @@ def cell_pairs(grid, box: boxes.Box, position, ids=None):
 
     empty = jnp.full((2, grid.capacity), n, jnp.int32)
     start = (empty, jnp.zeros((), jnp.int32), jnp.zeros((), bool), overflow)
-    (idx, _, pairs, windows), _ = jax.lax.scan(block, start, jnp.arange(0, seeking, size, dtype=jnp.int32))
+    (idx, _, pairs, windows), _ = jax.lax.scan(
+        block, start, jnp.arange(0, seeking, size, dtype=jnp.int32)
+    )
     return idx, (pairs, windows)
 
 
@@ -100,7 +105,8 @@ def stretch(n: int) -> float:
 
 
 def rounded(count: float, unit: int = 256) -> int:
-    """The next multiple of ``unit``: XLA needs up to six times as long for loops over odd counts."""
+    """The next multiple of ``unit``: XLA needs up to six times as long for loops over odd
+    counts."""
     return -(-math.ceil(count) // unit) * unit
 
 
@@ -150,7 +156,9 @@ def _rank(cell, cells: int, ids):
         return turns + 1, jnp.where(taken, nobody, left), jnp.where(taken, turns, rank)
 
     zero = jnp.zeros((), jnp.int32)
-    return jax.lax.while_loop(lambda carry: jnp.any(carry[1] < nobody), turn, (zero, ids, jnp.zeros_like(ids)))[2]
+    return jax.lax.while_loop(
+        lambda carry: jnp.any(carry[1] < nobody), turn, (zero, ids, jnp.zeros_like(ids))
+    )[2]
 
 
 class Beads(NamedTuple):
@@ -195,17 +203,21 @@ def _sorted_group(grid, group, box, position, ids) -> Beads:
 
 
 def _laid_out(grid, box, position, ids):
-    """Who seeks partners, the rows to seek them in, and whether these have more images than room for them."""
+    """Who seeks partners, the rows to seek them in, and whether these have more images than room
+    for them."""
     beads = _sorted_group(grid, grid.many, box, position, ids)
     first, home, bead, turn, overflow = _rows(grid, beads.cell)
     x, y, z = (c[bead] for c in beads.position)
-    rows = Rows(first, home, (x + turn * box.lengths[0], y, z), tuple(name[bead] for name in beads.name))
+    rows = Rows(
+        first, home, (x + turn * box.lengths[0], y, z), tuple(name[bead] for name in beads.name)
+    )
     seekers = beads if grid.is_one_group else _sorted_group(grid, grid.few, box, position, ids)
     return seekers, rows, overflow
 
 
 def _rows(grid, cell):
-    """First slot of each cell, slot of each bead, bead in each slot, its turns along x (-1, 0, 1), overflow."""
+    """First slot of each cell, slot of each bead, bead in each slot, its turns along x (-1, 0, 1),
+    overflow."""
     n, (nx, ny, nz), span = cell.shape[0], grid.cells, grid.span
     counts = jnp.zeros(nx * ny * nz, jnp.int32).at[cell].add(1, indices_are_sorted=True)
     before = (jnp.cumsum(counts) - counts).reshape(-1, nx)
@@ -218,7 +230,12 @@ def _rows(grid, cell):
     images = min(n, math.ceil(ny * nz * grid.window * 2 * span / (2 * span + 1)))
     # The last window too ends inside.
     slots = jnp.arange(rounded(n + images + grid.window), dtype=jnp.int32)
-    run = jnp.cumsum(jnp.zeros_like(slots).at[begin.ravel()].add(1, mode="drop", indices_are_sorted=True)) - 1
+    run = (
+        jnp.cumsum(
+            jnp.zeros_like(slots).at[begin.ravel()].add(1, mode="drop", indices_are_sorted=True)
+        )
+        - 1
+    )
     bead = jnp.clip(slots + ahead.ravel()[run], 0, n - 1)
     home = jnp.arange(n, dtype=jnp.int32) - ahead[:, 1][_divided(cell, nx)[0]]
     return first, home, bead, _divided(run, 3)[1] - 1, first[-1] > n + images
@@ -240,7 +257,8 @@ class Ranges(NamedTuple):
 
 
 def _ranges(grid, size, box, seekers: Beads, rows: Rows, begin) -> Ranges:
-    """The ranges of ``size`` seekers from ``begin`` on; the last block reaches back, with empty ranges.
+    """The ranges of ``size`` seekers from ``begin`` on; the last block reaches back, with empty
+    ranges.
 
     A range spans the cells x - span to x + span of its row; in the own row of the half stencil it
     runs from the next slot to the end of x + span.
@@ -260,7 +278,9 @@ def _ranges(grid, size, box, seekers: Beads, rows: Rows, begin) -> Ranges:
     length = jnp.where(fresh, rows.first[from_cell + 2 * grid.span + 1] - start, 0)
     lx, ly, lz = box.lengths
     rx, ry, rz = (here(c) for c in seekers.position)
-    return Ranges(at, start, length, (rx - turn_y * (box.strain * ly), ry - turn_y * ly, rz - turn_z * lz))
+    return Ranges(
+        at, start, length, (rx - turn_y * (box.strain * ly), ry - turn_y * ly, rz - turn_z * lz)
+    )
 
 
 def _near(grid, ranges: Ranges, places):
@@ -269,7 +289,9 @@ def _near(grid, ranges: Ranges, places):
     begin = np.arange(0, grid.window, width, dtype=np.int32)[None, None]
     offset = begin[..., None] + np.arange(width, dtype=np.int32)[None, None, None]
     # Consecutive slots are read at once; an index for each would take several times as long.
-    numbers = jax.lax.GatherDimensionNumbers(offset_dims=(3,), collapsed_slice_dims=(), start_index_map=(0,))
+    numbers = jax.lax.GatherDimensionNumbers(
+        offset_dims=(3,), collapsed_slice_dims=(), start_index_map=(0,)
+    )
     first = (ranges.start[..., None] + begin)[..., None]
     part = lambda c: jax.lax.gather(c, first, numbers, (width,), mode="promise_in_bounds")
     dx, dy, dz = (part(c) - o[..., None, None] for c, o in zip(places, ranges.origin))
@@ -287,7 +309,9 @@ def _bead_and_slot(grid, ranges: Ranges, word, bit):
     width = _width(grid)
     entry, part = _divided(word, grid.window // width)
     entry = jnp.minimum(entry, ranges.start.size - 1)
-    return ranges.bead + _divided(entry, ranges.start.shape[1])[0], ranges.start.ravel()[entry] + part * width + bit
+    return ranges.bead + _divided(entry, ranges.start.shape[1])[0], ranges.start.ravel()[
+        entry
+    ] + part * width + bit
 
 
 def _ends(grid, seekers: Beads, rows: Rows, bead, slot):
@@ -312,7 +336,8 @@ def _packed(bits):
 
 
 def _set_bits(words, capacity):
-    """Word and bit of each of the first ``capacity`` set bits, whether there is one, and how many in all."""
+    """Word and bit of each of the first ``capacity`` set bits, whether there is one, and how many
+    in all."""
     counts = jax.lax.population_count(words).astype(jnp.int32)
     ends = jnp.cumsum(counts)
     begins = ends - counts

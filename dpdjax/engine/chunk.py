@@ -1,4 +1,5 @@
-"""A piece of a run on the host: one compiled program, replayed with larger lists where one overflows."""
+"""A piece of a run on the host: one compiled program, replayed with larger lists where one
+overflows."""
 
 import dataclasses
 import functools
@@ -30,9 +31,13 @@ def batched(state: State, key) -> State:
             raise ValueError(f"the state is a batch of {members}; {cure}")
         return state
     if members is None:
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (key.shape[0], *jnp.shape(leaf))), state)
+        return jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, (key.shape[0], *jnp.shape(leaf))), state
+        )
     if members != key.shape[0]:
-        raise ValueError(f"{key.shape[0]} keys for a batch of {members} states; give one key for each")
+        raise ValueError(
+            f"{key.shape[0]} keys for a batch of {members} states; give one key for each"
+        )
     return state
 
 
@@ -46,13 +51,24 @@ def complete_lists(state: State) -> State:
     return dataclasses.replace(state, status=jnp.zeros_like(state.status))
 
 
-def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam=0.5, shape=None, compiling=lambda: None):
+def replayed(
+    fluid,
+    state: State,
+    key,
+    dt,
+    plan: Plan,
+    flow,
+    observe: tuple,
+    lam=0.5,
+    shape=None,
+    compiling=lambda: None,
+):
     """Run a plan; grow the lists and replay it with the same noise until nothing overflows.
 
-    ``state``, ``key`` and any number may be a batch. Returns (final state, frames on the host);
-    the status of the state holds what growth could not repair. Plans share one program as far
-    as :func:`shape_of` goes, or that of another plan is given, with as much room for frames; ``compiling()`` is
-    called before another is made.
+    ``state``, ``key`` and any number may be a batch. Returns (final state, frames on the host); the
+    status of the state holds what growth could not repair. Plans share one program as far as
+    :func:`shape_of` goes, or that of another plan is given, with as much room for frames;
+    ``compiling()`` is called before another is made.
     """
     trips = trips_of(plan)
     shape = shape_of(plan, int(np.prod(state.position.shape[:-1]))) if shape is None else shape
@@ -61,7 +77,8 @@ def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam
             compiling()
         after, frames = _compiled(fluid, dt, flow, lam, state, key, trips, shape, observe)
         status = np.asarray(after.status)
-        # A member that failed may overflow any list: it is given up, and decides nothing for the others.
+        # A member that failed may overflow any list: it is given up, and decides nothing for the
+        # others.
         sound = (status & ~np.uint32(bits.OVERFLOWS)) == 0
         if not np.any(status[sound] & bits.OVERFLOWS):
             break
@@ -71,11 +88,13 @@ def replayed(fluid, state: State, key, dt, plan: Plan, flow, observe: tuple, lam
 
 
 ROOM, WIDER, KEPT = 64, 4, 2**22
-"""Frames there is room for in a program at least, or fewer that hold so many beads, and by what factor there is more."""
+"""Frames there is room for in a program at least, or fewer that hold so many beads, and by what
+factor there is more."""
 
 
 def shape_of(plan: Plan, beads: int) -> Plan:
-    """What of a plan is compiled: room for its frames, of few sizes, and how often the beads are sorted."""
+    """What of a plan is compiled: room for its frames, of few sizes, and how often the beads are
+    sorted."""
     room = max(1, min(ROOM, KEPT // beads))
     while room < plan.frames:
         room *= WIDER
@@ -88,13 +107,20 @@ def trips_of(plan: Plan):
 
 
 def without_failed(before: State, after: State, frames: dict):
-    """What a batch goes on with, state and frames: members that failed stay where they were, and their frames are NaN."""
+    """What a batch goes on with, state and frames: members that failed stay where they were, and
+    their frames are NaN."""
     lost = np.asarray(after.status) != 0
     if not lost.any():
         return after, frames
     of = lambda leaf: lost.reshape(-1, *[1] * (np.ndim(leaf) - 1))
-    blank = lambda leaf: np.where(of(leaf), np.nan, leaf).astype(leaf.dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
-    return jax.tree.map(lambda old, new: jnp.where(of(new), old, new), before, after), jax.tree.map(blank, frames)
+    blank = lambda leaf: (
+        np.where(of(leaf), np.nan, leaf).astype(leaf.dtype)
+        if np.issubdtype(leaf.dtype, np.floating)
+        else leaf
+    )
+    return jax.tree.map(lambda old, new: jnp.where(of(new), old, new), before, after), jax.tree.map(
+        blank, frames
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("shape", "observe"))

@@ -50,7 +50,8 @@ class Clock:
 def is_new(arguments, static, functions: tuple) -> bool:
     """Whether a program of these arguments has yet to be made; it is then taken to have been.
 
-    ``functions`` are among what is static. Warns where one code is compiled again and again because the function is another.
+    ``functions`` are among what is static. Warns where one code is compiled again and again because
+    the function is another.
     """
     shapes = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in jax.tree.leaves(arguments))
     others = _seen.setdefault((jax.tree.structure(arguments), shapes, static), [])
@@ -59,8 +60,9 @@ def is_new(arguments, static, functions: tuple) -> bool:
     codes = _codes(functions)
     if codes is not None and sum(codes == _codes(other) for other in others) == ANEW - 1:
         warnings.warn(
-            f"{_names(functions)} is made anew each time, and a program is compiled for it each time: define it once, outside "
-            "the loop, and give its numbers by the fluid, the flow or the state",
+            f"{_names(functions)} is made anew each time, and a program is compiled for it each "
+            "time: define it once, outside the loop, and give its numbers by the fluid, the flow "
+            "or the state",
             stacklevel=5,
         )
     others.append(functions)

@@ -19,8 +19,8 @@ class Flow:
     ``jax.tree_util.register_dataclass``, its numbers leaves.
 
     Attributes:
-        rate: the shear rate; the largest where it changes [1/time]. A flow that never deforms the box has the
-            plain number 0.0, as a static field or an attribute of its class.
+        rate: the shear rate; the largest where it changes [1/time]. A flow that never deforms the
+            box has the plain number 0.0, as a static field or an attribute of its class.
     """
 
     rate: Any
@@ -33,11 +33,13 @@ class Flow:
 
     @property
     def deforms(self) -> bool:
-        """Whether it can tilt the box, by its kind and whatever its numbers: False only for a plain rate of 0."""
+        """Whether it can tilt the box, by its kind and whatever its numbers: False only for a plain
+        rate of 0."""
         return not (self.is_steady and isinstance(self.rate, (int, float)) and self.rate == 0)
 
     def check(self, fluid, state):
-        """Raise TypeError or ValueError, before a run of one state, for a flow that cannot work there.
+        """Raise TypeError or ValueError, before a run of one state, for a flow that cannot work
+        there.
 
         A flow with demands of its own adds them, and calls this one by ``super()``.
         """
@@ -88,7 +90,8 @@ class Shear(Flow):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Oscillation(Flow):
-    """Homogeneous shear of strain ``amplitude sin(frequency time)``; see :func:`oscillatory_shear`."""
+    """Homogeneous shear of strain ``amplitude sin(frequency time)``; see
+    :func:`oscillatory_shear`."""
 
     amplitude: Any
     frequency: Any
@@ -142,7 +145,11 @@ class Wave(BodyForce):
 
     def batch_axes(self):
         axes = {name: 0 if jnp.ndim(x) == 1 else None for name, x in self.numbers.items()}
-        return dataclasses.replace(self, numbers=axes) if any(axis == 0 for axis in axes.values()) else None
+        return (
+            dataclasses.replace(self, numbers=axes)
+            if any(axis == 0 for axis in axes.values())
+            else None
+        )
 
     def check(self, fluid, state):
         side = state.box.lengths[1]
@@ -150,8 +157,8 @@ class Wave(BodyForce):
             waves = np.asarray(self.numbers["wavenumber"]) * float(side) / (2 * np.pi)
             if np.any(np.abs(waves - np.round(waves)) > 1e-3):
                 raise ValueError(
-                    f"the body force is not periodic along y: {np.array2string(waves, precision=4)} waves in a side of "
-                    f"{float(side):.4g}; "
+                    "the body force is not periodic along y: "
+                    f"{np.array2string(waves, precision=4)} waves in a side of {float(side):.4g}; "
                     f"use dpd.sinusoidal_force(amplitude, side={float(side):.6g}, waves=...)"
                 )
         super().check(fluid, state)
@@ -190,7 +197,9 @@ class Drive(Flow):
 
     def batch_axes(self):
         axes = [0 if jnp.ndim(x) == 2 else None for x in (self.push, self.twist)]
-        return None if axes == [None, None] else dataclasses.replace(self, push=axes[0], twist=axes[1])
+        return (
+            None if axes == [None, None] else dataclasses.replace(self, push=axes[0], twist=axes[1])
+        )
 
 
 def quiet() -> Quiet:
@@ -207,15 +216,18 @@ def shear(rate) -> Shear:
 
 
 def oscillatory_shear(amplitude, frequency) -> Oscillation:
-    """Shear of strain ``amplitude sin(frequency t)``, t the time of the state, under Lees-Edwards boundaries.
+    """Shear of strain ``amplitude sin(frequency t)``, t the time of the state, under Lees-Edwards
+    boundaries.
 
-    The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to wait for.
-    ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.moduli`.
+    The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to
+    wait for. ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.moduli`.
     """
     return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
 
 
-def body_force(field: Callable, *, balance: bool = True, jumps: bool = False, **numbers) -> BodyForce:
+def body_force(
+    field: Callable, *, balance: bool = True, jumps: bool = False, **numbers
+) -> BodyForce:
     """A one-body force field, any small pure function.
 
     Args:
@@ -223,34 +235,39 @@ def body_force(field: Callable, *, balance: bool = True, jumps: bool = False, **
             [length] and a result that broadcasts to (n, 3) [force].
         balance: take the net force away each step, as one acceleration common to all
             beads. Without it a periodic box accelerates for ever.
-        jumps: the field is meant to jump at the faces of the box, as that of reverse Poiseuille flow does (one way in one
-            half, the other way in the other). Elsewhere a jump is a mistake and refused before a run.
+        jumps: the field is meant to jump at the faces of the box, as that of reverse Poiseuille
+            flow does (one way in one half, the other way in the other). Elsewhere a jump is a
+            mistake and refused before a run.
         **numbers: the field's numbers (leaves).
     """
     return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance, jumps=jumps)
 
 
 def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> Drive:
-    """The same force and torque on each bead of one species, as large spheres are driven to measure their drag.
+    """The same force and torque on each bead of one species, as large spheres are driven to measure
+    their drag.
 
-    Momentum stays as it is: every bead, or every other one, feels a force in proportion to its mass that makes up for the
-    sum. Nothing makes up for the torque. Measure with :func:`dpdjax.driven_diffusion` and
-    :func:`dpdjax.driven_rotation`.
+    Momentum stays as it is: every bead, or every other one, feels a force in proportion to its mass
+    that makes up for the sum. Nothing makes up for the torque. Measure with
+    :func:`dpdjax.driven_diffusion` and :func:`dpdjax.driven_rotation`.
 
     Args:
         force: on each driven bead, along x or a vector (3,) [force].
         torque: on each driven bead that rotates, about x or a vector (3,) [energy].
         species: the driven one.
-        reaction: ``"all"`` takes the sum from all beads, the driven ones included, as one acceleration; ``"others"``
-            from the others alone.
+        reaction: ``"all"`` takes the sum from all beads, the driven ones included, as one
+            acceleration; ``"others"`` from the others alone.
 
-    For a batch, give ``force`` or ``torque`` as (members, 3), such as ``strengths[:, None] * jnp.array([1.0, 0.0, 0.0])``.
+    For a batch, give ``force`` or ``torque`` as (members, 3), such as ``strengths[:, None] *
+    jnp.array([1.0, 0.0, 0.0])``.
 
     Raises ValueError for an unknown reaction, or nothing to drive.
     """
     if reaction not in ("all", "others"):
         raise ValueError(f'reaction is {reaction!r}; it is "all" or "others"')
-    push, twist = (_along_x(number(x, name), name) for x, name in ((force, "force"), (torque, "torque")))
+    push, twist = (
+        _along_x(number(x, name), name) for x, name in ((force, "force"), (torque, "torque"))
+    )
     if is_concrete(push, twist) and not jnp.any(push) and not jnp.any(twist):
         raise ValueError("nothing is driven: give force=... or torque=...")
     return Drive(push, twist, species, reaction)
@@ -259,7 +276,10 @@ def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> 
 def _along_x(value, name: str):
     vector = value * jnp.array([1.0, 0.0, 0.0], value.dtype) if value.ndim == 0 else value
     if vector.ndim > 2 or vector.shape[-1] != 3:
-        raise ValueError(f"{name} has shape {value.shape}; give a number along x, a vector (3,), or (members, 3) for a batch")
+        raise ValueError(
+            f"{name} has shape {value.shape}; give a number along x, a vector (3,), or (members, "
+            "3) for a batch"
+        )
     return vector
 
 
@@ -272,7 +292,8 @@ def sine_field(position, time, *, amplitude, wavenumber):
 def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
     """``amplitude sin(k y)`` along x on each bead, with ``waves`` periods in ``side``.
 
-    Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``. For a batch, give a number for each member.
+    Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``. For a batch, give a
+    number for each member.
     """
     wavenumber = 2 * jnp.pi * number(waves, "waves") / positive(side, "side")
     return Wave(sine_field, {"amplitude": number(amplitude, "amplitude"), "wavenumber": wavenumber})
@@ -286,11 +307,15 @@ def constant_field(position, time, *, acceleration):
 def check_tilt(state) -> None:
     """Raise ValueError for lists that miss pairs of a tilted box."""
     if not all(n.grid.sheared for n in state.neighbours):
-        raise ValueError("this state was made with sheared=False and its lists miss pairs of a tilted box: make it without")
+        raise ValueError(
+            "this state was made with sheared=False and its lists miss pairs of a tilted box: make "
+            "it without"
+        )
 
 
 def check_answers(flow, fluid, state) -> None:
-    """Raise for a flow whose rate, strain, force or torque has the wrong shape or kind, or is not finite."""
+    """Raise for a flow whose rate, strain, force or torque has the wrong shape or kind, or is not
+    finite."""
     kind, dtype = type(flow).__name__, state.position.dtype
     if not hasattr(flow, "rate"):
         raise TypeError(f"{kind} has no rate; give it one, rate = 0.0 where it does not shear")
@@ -311,29 +336,44 @@ def _check_answer(what: str, answer: Callable, shape, dtype, concrete: bool) -> 
     try:
         value = answer() if concrete else jax.eval_shape(answer)
     except (TypeError, ValueError, AttributeError) as error:
-        raise type(error)(f"the {what} fails on one state, with the numbers of one member: {error}") from error
+        raise type(error)(
+            f"the {what} fails on one state, with the numbers of one member: {error}"
+        ) from error
     if value is None:
         return
     if jnp.shape(value) != shape:
         raise ValueError(
-            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch need batch_axes() to say so"
+            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch need "
+            "batch_axes() to say so"
         )
     if jnp.result_type(value, dtype) != dtype:
-        raise TypeError(f"the {what} has dtype {jnp.result_type(value)}, the state {dtype}; return it as state.position.dtype")
+        raise TypeError(
+            f"the {what} has dtype {jnp.result_type(value)}, the state {dtype}; return it as "
+            "state.position.dtype"
+        )
     if concrete and not np.all(np.isfinite(np.asarray(value))):
         raise ValueError(f"the {what} is not finite at the start; look at its numbers")
 
 
 def check_driven(flow, state) -> None:
-    """Raise ValueError for a drive of beads that are not there, or a torque on what does not rotate."""
+    """Raise ValueError for a drive of beads that are not there, or a torque on what does not
+    rotate."""
     there = np.asarray(state.species)
     if flow.species not in there:
-        raise ValueError(f"no bead is of the driven species {flow.species}; name another: dpd.drive(..., species=...)")
+        raise ValueError(
+            f"no bead is of the driven species {flow.species}; name another: dpd.drive(..., "
+            "species=...)"
+        )
     if flow.reaction == "others" and np.all(there == flow.species):
-        raise ValueError('all beads are driven, and reaction="others" has none to act on; use reaction="all"')
+        raise ValueError(
+            'all beads are driven, and reaction="others" has none to act on; use reaction="all"'
+        )
     turning = () if state.rotation is None else there[state.rotation.slots]
     if np.any(np.asarray(flow.twist)) and flow.species not in turning:
-        raise ValueError(f"beads of species {flow.species} do not rotate, and a torque is given: give them an inertia")
+        raise ValueError(
+            f"beads of species {flow.species} do not rotate, and a torque is given: give them an "
+            "inertia"
+        )
 
 
 def check_faces(flow, state) -> None:
@@ -347,7 +387,11 @@ def check_faces(flow, state) -> None:
     for time in float(state.time) + np.array([0.0, 0.3, 1.7]):
         of = lambda position: np.asarray(
             jnp.broadcast_to(
-                flow.field(jnp.asarray(position, state.position.dtype), jnp.asarray(time, state.time.dtype), **flow.numbers),
+                flow.field(
+                    jnp.asarray(position, state.position.dtype),
+                    jnp.asarray(time, state.time.dtype),
+                    **flow.numbers,
+                ),
                 position.shape,
             )
         )
@@ -356,9 +400,9 @@ def check_faces(flow, state) -> None:
             low, high = _facing(here, axis, sides, strain)
             if not np.allclose(of(low), of(high), rtol=0, atol=2e-3 * scale):
                 raise ValueError(
-                    f"the body force is not periodic along {'xyz'[axis]}: it jumps at the face of a box of sides "
-                    f"{sides.tolist()}; give it a whole number of periods in that side, or dpd.body_force(..., jumps=True) "
-                    "where it is meant to jump"
+                    f"the body force is not periodic along {'xyz'[axis]}: it jumps at the face of "
+                    f"a box of sides {sides.tolist()}; give it a whole number of periods in that "
+                    "side, or dpd.body_force(..., jumps=True) where it is meant to jump"
                 )
 
 

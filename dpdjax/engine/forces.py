@@ -20,8 +20,8 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 class Pairs(NamedTuple):
     """The geometry of a list of pairs, by component; every entry has shape (pairs,).
 
-    ``v`` is the approach along ``e``, ``across`` the velocity of the two surfaces past each other, perpendicular to ``e``;
-    None where nothing asks for it.
+    ``v`` is the approach along ``e``, ``across`` the velocity of the two surfaces past each other,
+    perpendicular to ``e``; None where nothing asks for it.
     """
 
     i: jax.Array
@@ -41,7 +41,8 @@ class Pairs(NamedTuple):
 class Beads(NamedTuple):
     """What the pairs read of the beads, in columns of shape (n,); no radii where all are points.
 
-    ``spin``: angular velocities of the beads that rotate, from the slot ``turning_from`` on, in columns; or None.
+    ``spin``: angular velocities of the beads that rotate, from the slot ``turning_from`` on, in
+    columns; or None.
     """
 
     position: tuple
@@ -63,11 +64,14 @@ class Beads(NamedTuple):
         return cls(x, v, state.species, state.id, radius, spin, begin)
 
 
-def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: bool = False, words=None) -> Pairs:
+def pair_geometry(
+    box, beads: Beads, idx, rate, spheres=(False, False), across: bool = False, words=None
+) -> Pairs:
     """Distance, gap, direction and relative velocity of each pair of ``idx`` (2, pairs).
 
-    ``spheres``: whether the first and the second beads have radii at all; ``across``: whether the velocity
-    perpendicular to the line of centres is wanted (static). ``words``: of the step, which key the direction of beads at one place.
+    ``spheres``: whether the first and the second beads have radii at all; ``across``: whether the
+    velocity perpendicular to the line of centres is wanted (static). ``words``: of the step, which
+    key the direction of beads at one place.
 
     The lab velocities of two beads differ by their peculiar velocities and by
     ``rate y_ij`` of the nearest image, which is the jump across the y-boundary too.
@@ -87,7 +91,9 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
     vx = vx + rate * dy
     approach = e[0] * vx + e[1] * vy + e[2] * vz
     r = jnp.where(real, square * inverse, jnp.inf)
-    R_i, R_j = (take(beads.radius, k) if has else jnp.zeros((), r.dtype) for k, has in zip((i, j), spheres))
+    R_i, R_j = (
+        take(beads.radius, k) if has else jnp.zeros((), r.dtype) for k, has in zip((i, j), spheres)
+    )
     h = r - (R_i + R_j) if any(spheres) else r
     past = None
     if across:
@@ -96,13 +102,28 @@ def pair_geometry(box, beads: Beads, idx, rate, spheres=(False, False), across: 
             # Surface points lie at -R_i e and R_j e from the centres, and move as omega x arm.
             both = tuple(R_i * a + R_j * b for a, b in zip(spin_of(beads, i), spin_of(beads, j)))
             past = tuple(p - c for p, c in zip(past, cross(both, e)))
-    return Pairs(idx[0], idx[1], real, r, h, e, approach, past, take(beads.species, i), take(beads.species, j), R_i, R_j)
+    return Pairs(
+        idx[0],
+        idx[1],
+        real,
+        r,
+        h,
+        e,
+        approach,
+        past,
+        take(beads.species, i),
+        take(beads.species, j),
+        R_i,
+        R_j,
+    )
 
 
 def diagonal_of(words, dtype) -> tuple:
-    """A diagonal of a cube by the words (2,) of a step, or a fixed one: from the second to the first of two beads at one place.
+    """A diagonal of a cube by the words (2,) of a step, or a fixed one: from the second to the
+    first of two beads at one place.
 
-    The same for all pairs. One for each would make every pair read the words of its beads here too: a tenth of the pass.
+    The same for all pairs. One for each would make every pair read the words of its beads here too:
+    a tenth of the pass.
     """
     side = jnp.asarray(3.0**-0.5, dtype)
     if words is None:
@@ -111,7 +132,8 @@ def diagonal_of(words, dtype) -> tuple:
 
 
 def spin_of(beads: Beads, slots) -> tuple:
-    """Angular velocity, by component, of the beads in ``slots`` (pairs,); 0 for those that do not rotate."""
+    """Angular velocity, by component, of the beads in ``slots`` (pairs,); 0 for those that do not
+    rotate."""
     row, rows = slots - beads.turning_from, beads.spin[0].shape[0]
     turns = (row >= 0) & (row < rows)
     return tuple(jnp.where(turns, take(c, jnp.clip(row, 0, rows - 1)), 0.0) for c in beads.spin)
@@ -128,7 +150,8 @@ def take(x, i):
 
 
 def evaluate(terms, pairs: Pairs, kT, derivative: bool):
-    """Sum over terms of the law, or of (law, -d law/dh), zero beyond each reach; a potential is zero there."""
+    """Sum over terms of the law, or of (law, -d law/dh), zero beyond each reach; a potential is
+    zero there."""
     zero = jnp.zeros_like(pairs.v)
     value, force = zero, zero
     for t in terms:
@@ -140,7 +163,10 @@ def evaluate(terms, pairs: Pairs, kT, derivative: bool):
         if derivative:
             u, slope = jax.jvp(law, (h,), (jnp.ones_like(h),))
             at_end = law(jnp.asarray(reach, h.dtype))
-            value, force = value + jnp.where(inside, u - at_end, 0.0), force - jnp.where(inside, slope, 0.0)
+            value, force = (
+                value + jnp.where(inside, u - at_end, 0.0),
+                force - jnp.where(inside, slope, 0.0),
+            )
         else:
             value = value + jnp.where(inside, law(h), 0.0)
     return (value, force) if derivative else value
@@ -153,13 +179,15 @@ def by_origin(terms, kind: str) -> dict:
 
 
 def safe_sqrt(x):
-    """Square root with derivative 0 at 0, where the plain one has none; NaN below, so that no run goes on without its noise."""
+    """Square root with derivative 0 at 0, where the plain one has none; NaN below, so that no run
+    goes on without its noise."""
     at_zero = x == 0
     return jnp.where(at_zero, 0.0, jnp.sqrt(jnp.where(at_zero, 1.0, x)))
 
 
 class Words(NamedTuple):
-    """What keys the noise of one step and interaction: its own words, those of a vector, and one of each bead (n,)."""
+    """What keys the noise of one step and interaction: its own words, those of a vector, and one of
+    each bead (n,)."""
 
     step: jax.Array
     vector: jax.Array | None
@@ -195,9 +223,12 @@ def central_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt)
 
 
 def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt):
-    """Forces perpendicular to ``e`` by origin, each by component: drag on ``across``, and its noise by the same projector."""
+    """Forces perpendicular to ``e`` by origin, each by component: drag on ``across``, and its noise
+    by the same projector."""
     frictions, zeta = friction_by_origin(interaction, pairs, kT, ACROSS)
-    forces = {origin: tuple(-friction * u for u in pairs.across) for origin, friction in frictions.items()}
+    forces = {
+        origin: tuple(-friction * u for u in pairs.across) for origin, friction in frictions.items()
+    }
     xi = noise.pair_vector(words.vector, *words.of_pairs(pairs), pairs.v.dtype.type)
     along = sum(x * e for x, e in zip(xi, pairs.e))
     strength = safe_sqrt(2.0 * kT * zeta / dt)
@@ -205,7 +236,8 @@ def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, 
 
 
 def friction_by_origin(interaction: Interaction, pairs: Pairs, kT, projectors: tuple):
-    """Frictions by origin of the terms with one of the projectors, and the sum that the noise follows from."""
+    """Frictions by origin of the terms with one of the projectors, and the sum that the noise
+    follows from."""
     among = lambda terms: [t for t in terms if t.projector in projectors]
     frictions = {
         origin: evaluate(among(terms), pairs, kT, derivative=False)
@@ -223,8 +255,11 @@ def geometry(fluid, box, beads: Beads, interaction: Interaction, idx, rate, word
     return pair_geometry(box, beads, idx, rate, spheres, not interaction.is_central, words)
 
 
-def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: Words, dt, tally: bool):
-    """Force on each bead (n, 3) from one list, torque (m, 3) or None, and the sums over its pairs where asked for."""
+def interaction_force(
+    fluid, interaction, box, beads: Beads, idx, rate, words: Words, dt, tally: bool
+):
+    """Force on each bead (n, 3) from one list, torque (m, 3) or None, and the sums over its pairs
+    where asked for."""
     n, dtype = beads.id.shape[0], beads.position[0].dtype
     turning = not interaction.is_central and beads.spin is not None
 
@@ -232,7 +267,11 @@ def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: W
         net, torque, totals = sums
         pairs = geometry(fluid, box, beads, interaction, part, rate, words.step)
         energy, along = central_forces(interaction, fluid.kT, pairs, words, dt)
-        across = None if interaction.is_central else transverse_forces(interaction, fluid.kT, pairs, words, dt)
+        across = (
+            None
+            if interaction.is_central
+            else transverse_forces(interaction, fluid.kT, pairs, words, dt)
+        )
         push = None if across is None else tuple(map(sum, zip(*across.values())))
         net = net_add(net, pairs, sum(along.values()), push)
         torque = torque_add(torque, beads, pairs, push) if turning else None
@@ -241,7 +280,11 @@ def interaction_force(fluid, interaction, box, beads: Beads, idx, rate, words: W
             totals = totals if across is None else totals.plus(0.0, sum_across(pairs, across))
         return net, torque, totals
 
-    start = (net_zero(n, dtype), jnp.zeros((len(beads.spin[0]), 3), dtype) if turning else None, Tally.zero(dtype, fluid.origins))
+    start = (
+        net_zero(n, dtype),
+        jnp.zeros((len(beads.spin[0]), 3), dtype) if turning else None,
+        Tally.zero(dtype, fluid.origins),
+    )
     net, torque, totals = over_blocks(add, start, idx, n)
     return net_force(net), torque, totals if tally else None
 
@@ -252,7 +295,8 @@ def sum_onto_beads(pairs: Pairs, along, n: int):
 
 
 def over_blocks(add, sums, idx, pad: int):
-    """``sums = add(sums, part)`` over ``idx`` (2, pairs): all of it at once, or what a CPU's cache holds at a time.
+    """``sums = add(sums, part)`` over ``idx`` (2, pairs): all of it at once, or what a CPU's cache
+    holds at a time.
 
     The last block is filled with ``pad``.
     """
@@ -281,14 +325,18 @@ def net_zero(n: int, dtype):
 
 
 def net_add(net, pairs: Pairs, along, across=None):
-    """Add ``along`` e, and ``across``, of every pair to the sums of its first and of its second bead."""
+    """Add ``along`` e, and ``across``, of every pair to the sums of its first and of its second
+    bead."""
     f = tuple(along * e for e in pairs.e)
     f = f if across is None else tuple(a + b for a, b in zip(f, across))
     # The laws before the sums: XLA would evaluate them again for every scatter.
     f = jax.lax.optimization_barrier(f)
     parts = (jax.lax.complex(f[0], f[1]), f[2]) if len(net[0]) == 2 else f
     add = lambda total, i, part: total.at[i].add(part, mode="drop", wrap_negative_indices=False)
-    return tuple(tuple(add(t, i, p) for t, p in zip(totals, parts)) for totals, i in zip(net, (pairs.i, pairs.j)))
+    return tuple(
+        tuple(add(t, i, p) for t, p in zip(totals, parts))
+        for totals, i in zip(net, (pairs.i, pairs.j))
+    )
 
 
 def net_force(net):
@@ -301,15 +349,17 @@ def net_force(net):
 def torque_add(torque, beads: Beads, pairs: Pairs, across):
     """Add ``arm x force`` of every pair to what turns its beads (m, 3).
 
-    The arms ``-R_i e`` and ``R_j e`` are those of the surface velocities, and the second bead feels the opposite force:
-    both get ``-R e x across``.
+    The arms ``-R_i e`` and ``R_j e`` are those of the surface velocities, and the second bead feels
+    the opposite force: both get ``-R e x across``.
     """
     twist = jnp.stack(cross(pairs.e, across), axis=1)
     m = torque.shape[0]
     for slots, R in ((pairs.i, pairs.R_i), (pairs.j, pairs.R_j)):
         row = slots - beads.turning_from
         row = jnp.where((row >= 0) & (row < m), row, m)
-        torque = torque.at[row].add(-jnp.reshape(R, (-1, 1)) * twist, mode="drop", wrap_negative_indices=False)
+        torque = torque.at[row].add(
+            -jnp.reshape(R, (-1, 1)) * twist, mode="drop", wrap_negative_indices=False
+        )
     return torque
 
 
@@ -317,7 +367,9 @@ def sum_across(pairs: Pairs, across: dict) -> dict:
     """The virials ``sum F_ij r_ij`` of forces perpendicular to ``e``, by origin."""
     r = jnp.where(pairs.real, pairs.r, 0.0)
     separation = jnp.stack([r * e for e in pairs.e])
-    product = lambda f: jnp.einsum("ap,bp->ab", jnp.stack(f), separation, precision=jax.lax.Precision.HIGHEST)
+    product = lambda f: jnp.einsum(
+        "ap,bp->ab", jnp.stack(f), separation, precision=jax.lax.Precision.HIGHEST
+    )
     return {origin: product(f) for origin, f in across.items()}
 
 
@@ -337,9 +389,11 @@ def symmetric(upper):
 
 
 def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False):
-    """Total pair force on each bead (n, 3) at ``state.position`` and ``velocity``, and what turns those that rotate (m, 3).
+    """Total pair force on each bead (n, 3) at ``state.position`` and ``velocity``, and what turns
+    those that rotate (m, 3).
 
-    Noise is that of ``state.step``, angular velocities those of ``state.rotation``. Returns (force, torque or None, Tally or None).
+    Noise is that of ``state.step``, angular velocities those of ``state.rotation``. Returns (force,
+    torque or None, Tally or None).
     """
     force, sums = jnp.zeros_like(state.position), Tally.zero(state.position.dtype, fluid.origins)
     torque = None if state.rotation is None else jnp.zeros_like(state.rotation.torque)
@@ -347,7 +401,9 @@ def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False
     for channel, (interaction, neighbours) in enumerate(zip(fluid.interactions, state.neighbours)):
         words = Words.of(key, state.step, channel, beads.id, not interaction.is_central)
         idx = neighbours.list.idx
-        f, twist, t = interaction_force(fluid, interaction, state.box, beads, idx, rate, words, dt, tally)
+        f, twist, t = interaction_force(
+            fluid, interaction, state.box, beads, idx, rate, words, dt, tally
+        )
         force = force + f
         torque = torque if twist is None else torque + twist
         sums = sums.plus(t.energy, t.virial) if tally else None

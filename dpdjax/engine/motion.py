@@ -16,7 +16,9 @@ FARTHEST = 0.5
 
 def trouble(fluid, state, dt):
     """Bits for beads whose velocities are not finite, or that ran away."""
-    velocities = [state.velocity] if state.rotation is None else [state.velocity, state.rotation.velocity]
+    velocities = (
+        [state.velocity] if state.rotation is None else [state.velocity, state.rotation.velocity]
+    )
     broken = jnp.any(jnp.stack([~jnp.all(jnp.isfinite(v)) for v in velocities]))
     lost = _is_hot(fluid, state) | _outruns_lists(state, dt)
     return bits.flag(broken, bits.NOT_FINITE) | bits.flag(lost & ~broken, bits.RUN_AWAY)
@@ -27,11 +29,14 @@ def _is_hot(fluid, state):
     hot = temperature(fluid, state) > scale * _spread(3 * state.n - 3)
     if state.rotation is None or not any(fluid.turns(k) for k in fluid.rotating):
         return hot & (fluid.kT > 0)
-    return (hot | (rotational_temperature(fluid, state) > scale * _spread(3 * state.rotation.m))) & (fluid.kT > 0)
+    return (
+        hot | (rotational_temperature(fluid, state) > scale * _spread(3 * state.rotation.m))
+    ) & (fluid.kT > 0)
 
 
 def _spread(freedoms: int) -> float:
-    """Room for what the temperature of few degrees of freedom fluctuates by, ten standard deviations."""
+    """Room for what the temperature of few degrees of freedom fluctuates by, ten standard
+    deviations."""
     return 1.0 + 10.0 * (2.0 / freedoms) ** 0.5
 
 

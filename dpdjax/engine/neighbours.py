@@ -23,7 +23,8 @@ from dpdjax.engine.batching import where_needed
 FINENESS = 4
 """Cells along x per cut: finer cells fit the ranges closer to what is within the cut."""
 FEW = 64
-"""Beads of the smaller group up to which all pairs are tried: sorting the larger one costs more (measured: tests/benchmarks)."""
+"""Beads of the smaller group up to which all pairs are tried: sorting the larger one costs more
+(measured: tests/benchmarks)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +78,9 @@ class Grid:
         return dataclasses.replace(
             self,
             capacity=cells.rounded(1.25 * self.capacity) if code & 1 else self.capacity,
-            window=_whole_words(int(1.25 * self.window)) if code & 2 and self.window else self.window,
+            window=_whole_words(int(1.25 * self.window))
+            if code & 2 and self.window
+            else self.window,
         )
 
 
@@ -87,11 +90,14 @@ def _rounded_up(length: float) -> float:
     return math.ceil(length / unit) * unit
 
 
-def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, room: float = 1.03) -> Grid:
+def plan_grid(
+    groups, lengths, reach: float, skin: float, sheared: bool = True, room: float = 1.03
+) -> Grid:
     """A grid for beads spread evenly; clustered beads make it grow later.
 
     Args:
-        groups: number of beads for the pairs among all of them; or first slot and end of each of two groups.
+        groups: number of beads for the pairs among all of them; or first slot and end of each of
+            two groups.
         lengths: sides of the box (3,) [length].
         reach, skin, sheared: see :class:`Grid`.
         room: pairs there is room for, over those of beads without structure.
@@ -99,30 +105,41 @@ def plan_grid(groups, lengths, reach: float, skin: float, sheared: bool = True, 
     Raises ValueError where a side is below ``2 (reach + skin)``: the nearest image
     would not be the only one.
     """
-    groups = ((0, groups), (0, groups)) if np.ndim(groups) == 0 else tuple((int(a), int(b)) for a, b in groups)
+    groups = (
+        ((0, groups), (0, groups))
+        if np.ndim(groups) == 0
+        else tuple((int(a), int(b)) for a, b in groups)
+    )
     lengths = np.asarray(lengths, float)
     cut = reach + skin
     if np.any(boxes.narrowest(lengths, sheared) < 2 * cut * (1 - 1e-6)):
         raise ValueError(
-            f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * cut:.4g}"
-            f"{', or 1.118 times that in a box that can tilt' if sheared else ''}; use a side of at least "
+            f"box side {lengths.min():.4g} is below 2 (reach + skin) = "
+            f"{2 * cut:.4g}{', or 1.118 times that in a box that can tilt' if sheared else ''}; "
+            "use a side of at least "
             f"{_rounded_up(2 * cut * (np.hypot(1, 0.5) if sheared else 1)):g} or a smaller skin"
         )
     all_pairs = Grid(reach, skin, None, 0, 0, 0, sheared, groups)
     few, many = _count(all_pairs.few), _count(all_pairs.many)
-    capacity = _capacity(all_pairs.is_one_group, few, many, (4 / 3) * math.pi * cut**3 / lengths.prod(), room)
+    capacity = _capacity(
+        all_pairs.is_one_group, few, many, (4 / 3) * math.pi * cut**3 / lengths.prod(), room
+    )
     all_pairs = dataclasses.replace(all_pairs, capacity=capacity)
     shape = np.floor(boxes.narrowest(lengths, sheared) / cut * (1 + 1e-6)).astype(int)
     if np.any(shape < 3) or many < 200 or few <= FEW:
         return all_pairs
     # More rows than the beads fill cost more to index than they save.
     most = max(3, int(np.cbrt(many / 2)) + 1)
-    shape = np.minimum(shape, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))).astype(int)
+    shape = np.minimum(
+        shape, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))
+    ).astype(int)
     shape[0] *= FINENESS
     span = math.ceil(shape[0] * cut / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
     per_range = (2 * span + 1) * many / shape.prod()
     window = _whole_words(int(per_range + 5 * math.sqrt(per_range)))
-    return dataclasses.replace(all_pairs, cells=tuple(int(c) for c in shape), span=span, window=window)
+    return dataclasses.replace(
+        all_pairs, cells=tuple(int(c) for c in shape), span=span, window=window
+    )
 
 
 def _count(group) -> int:
@@ -130,7 +147,8 @@ def _count(group) -> int:
 
 
 def _capacity(one_group: bool, few: int, many: int, share: float, room: float) -> int:
-    """``room`` times the pairs of beads without structure and six standard deviations more, but no more than there are.
+    """``room`` times the pairs of beads without structure and six standard deviations more, but no
+    more than there are.
 
     ``share``: of all beads, those within the cut of one.
     """
@@ -166,8 +184,8 @@ class Neighbours:
 def allocate(grid: Grid, box: boxes.Box, position, ids=None) -> Neighbours:
     """A fresh list of the pairs within ``reach + skin``. jit and vmap safe.
 
-    ``ids`` (n,), a permutation within each group: the pairs come in the order, and each with its beads
-    the way round, that beads stored by id would give. By default the beads are.
+    ``ids`` (n,), a permutation within each group: the pairs come in the order, and each with its
+    beads the way round, that beads stored by id would give. By default the beads are.
     """
     idx, (pairs, windows) = build_pairs(grid, box, position, ids)
     code = pairs.astype(jnp.uint8) + 2 * windows.astype(jnp.uint8)
@@ -193,7 +211,8 @@ def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
 
 @functools.cache
 def jax_md_partition():
-    """The module ``jax_md.partition`` alone: the whole package compiles for five seconds when it is imported."""
+    """The module ``jax_md.partition`` alone: the whole package compiles for five seconds when it is
+    imported."""
     if "jax_md" in sys.modules:
         return importlib.import_module("jax_md.partition")
     package = types.ModuleType("jax_md")
@@ -219,8 +238,8 @@ def updater(grid: Grid):
 def is_stale(neighbours: Neighbours, box: boxes.Box, position):
     """Whether a pair inside the reach may be missing from the list.
 
-    The largest non-affine displacements since the build of either group together (of one group twice
-    its own), plus what the strain since then adds to a pair at the reach, against the skin.
+    The largest non-affine displacements since the build of either group together (of one group
+    twice its own), plus what the strain since then adds to a pair at the reach, against the skin.
     """
     grid = neighbours.grid
     period = box.lengths[0] / box.lengths[1]
@@ -228,20 +247,26 @@ def is_stale(neighbours: Neighbours, box: boxes.Box, position):
     strain = strain - period * jnp.round(strain / period)
 
     def farthest(group):
-        now, reference = (x[group[0] : group[1]] for x in (position, neighbours.list.reference_position))
+        now, reference = (
+            x[group[0] : group[1]] for x in (position, neighbours.list.reference_position)
+        )
         affine = strain * reference[:, 1]
         d = now - reference
         dx, dy, dz = boxes.minimum_image(box, d[:, 0] - affine, d[:, 1], d[:, 2])
         return jnp.sqrt(jnp.max(dx * dx + dy * dy + dz * dz))
 
-    moved = 2.0 * farthest(grid.few) if grid.is_one_group else farthest(grid.few) + farthest(grid.many)
+    moved = (
+        2.0 * farthest(grid.few) if grid.is_one_group else farthest(grid.few) + farthest(grid.many)
+    )
     return moved + jnp.abs(strain) * grid.cut > grid.skin
 
 
 def update(neighbours: Neighbours, box: boxes.Box, position, ids=None) -> Neighbours:
     """The list, rebuilt if it is stale; in a batch, the lists of the members that are."""
     neighbours, position, box = jax.lax.stop_gradient((neighbours, position, box))
-    return _rebuild_where(neighbours.grid)(is_stale(neighbours, box, position), neighbours, box, position, ids)
+    return _rebuild_where(neighbours.grid)(
+        is_stale(neighbours, box, position), neighbours, box, position, ids
+    )
 
 
 @functools.cache
@@ -250,18 +275,25 @@ def _rebuild_where(grid: Grid):
 
     def rebuild(old, box, position, ids):
         new = allocate(grid, box, position, ids)
-        return dataclasses.replace(new, list=_with_error(new.list, old.list.error.code | new.list.error.code))
+        return dataclasses.replace(
+            new, list=_with_error(new.list, old.list.error.code | new.list.error.code)
+        )
 
     return where_needed(rebuild)
 
 
 def _with_error(neighbour_list, code):
-    return dataclasses.replace(neighbour_list, error=dataclasses.replace(neighbour_list.error, code=code))
+    return dataclasses.replace(
+        neighbour_list, error=dataclasses.replace(neighbour_list.error, code=code)
+    )
 
 
 def overflow(neighbours: Neighbours, members=...) -> int:
-    """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of :meth:`Grid.grown`."""
-    return int(np.bitwise_or.reduce(np.asarray(neighbours.list.error.code)[members].ravel(), initial=0))
+    """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of
+    :meth:`Grid.grown`."""
+    return int(
+        np.bitwise_or.reduce(np.asarray(neighbours.list.error.code)[members].ravel(), initial=0)
+    )
 
 
 def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:

@@ -44,7 +44,8 @@ def bead_words(words, ids):
 
 
 def pair_noise(words, a, b, dtype):
-    """One number of mean 0 and variance 1 per pair of beads with the words ``a`` and ``b``, uniform.
+    """One number of mean 0 and variance 1 per pair of beads with the words ``a`` and ``b``,
+    uniform.
 
     Uniform noise has the same weak order as Gaussian (Dunweg & Paul 1991). The 23
     top bits are centred, so that the mean is zero to the last bit. The sum of two words knows no
@@ -54,7 +55,8 @@ def pair_noise(words, a, b, dtype):
 
 
 def pair_vector(words, a, b, dtype):
-    """Three such numbers per pair, keyed by ``vector_words``: a vector that changes sign with the order of the beads."""
+    """Three such numbers per pair, keyed by ``vector_words``: a vector that changes sign with the
+    order of the beads."""
     sign = jnp.where(a < b, dtype(1.0), dtype(-1.0))
     return tuple(sign * _uniform(mix((a + b) ^ words[k]), dtype) for k in range(3))
 

@@ -21,13 +21,15 @@ def kinetic_pressure(fluid, state):
 
 
 def pressure_by_origin(fluid, state) -> dict:
-    """The pressure tensor by origin, (3, 3) each: kinetic, conservative, drag, random and what terms have names for."""
+    """The pressure tensor by origin, (3, 3) each: kinetic, conservative, drag, random and what
+    terms have names for."""
     pairs = {origin: virial / state.box.volume for origin, virial in state.tally.virial.items()}
     return {"kinetic": kinetic_pressure(fluid, state)} | pairs
 
 
 def static_pressure(fluid, state):
-    """Kinetic part and that of all potentials (3, 3) [energy / volume]: in equilibrium the pressure."""
+    """Kinetic part and that of all potentials (3, 3) [energy / volume]: in equilibrium the
+    pressure."""
     parts = pressure_by_origin(fluid, state)
     return sum(parts[origin] for origin in ("kinetic", *fluid.origins_of("conservative")))
 
@@ -61,14 +63,21 @@ def rotational_temperature(fluid, state):
 
 
 def rotations(fluid, state) -> dict:
-    """Angular velocities, torques and orientations of the beads that rotate; ValueError where none does."""
+    """Angular velocities, torques and orientations of the beads that rotate; ValueError where none
+    does."""
     turning = _rotation(state)
-    return {"angular_velocity": turning.velocity, "torque": turning.torque, "orientation": turning.orientation}
+    return {
+        "angular_velocity": turning.velocity,
+        "torque": turning.torque,
+        "orientation": turning.orientation,
+    }
 
 
 def _rotation(state):
     if state.rotation is None:
-        raise ValueError("no bead of this state rotates; give a species an inertia, dpd.fluid(..., inertia=...)")
+        raise ValueError(
+            "no bead of this state rotates; give a species an inertia, dpd.fluid(..., inertia=...)"
+        )
     return state.rotation
 
 
@@ -78,7 +87,8 @@ def momentum(fluid, state):
 
 
 def standard(fluid, state) -> dict:
-    """What a run records unless told otherwise: ``temperature``, ``pressure_tensor``, ``potential_energy``, ``momentum``."""
+    """What a run records unless told otherwise: ``temperature``, ``pressure_tensor``,
+    ``potential_energy``, ``momentum``."""
     return {
         "temperature": temperature(fluid, state),
         "pressure_tensor": pressure_tensor(fluid, state),
@@ -93,17 +103,25 @@ def stresses(fluid, state) -> dict:
 
 
 def positions(fluid, state) -> dict:
-    """Wrapped and unwrapped positions, images, velocities, and the ``strain`` of the box, for structure and diffusion.
+    """Wrapped and unwrapped positions, images, velocities, and the ``strain`` of the box, for
+    structure and diffusion.
 
-    Measures unwrap by the images, in double precision: far from where it began a bead's single one moves in jumps.
+    Measures unwrap by the images, in double precision: far from where it began a bead's single one
+    moves in jumps.
     """
-    of_beads = {"position": state.position, "unwrapped": state.unwrapped, "velocity": state.velocity, "image": state.image}
+    of_beads = {
+        "position": state.position,
+        "unwrapped": state.unwrapped,
+        "velocity": state.velocity,
+        "image": state.image,
+    }
     return of_beads | {"strain": state.box.strain}
 
 
 @functools.cache
 def positions_of(species: int):
-    """An observable like :func:`positions` of the beads of one species alone, with the ``strain`` of the box.
+    """An observable like :func:`positions` of the beads of one species alone, with the ``strain``
+    of the box.
 
     A run raises ValueError where no interaction of the fluid has
     this species as a group of its own.
@@ -111,21 +129,26 @@ def positions_of(species: int):
 
     def positions_of_species(fluid, state) -> dict:
         begin, end = _slots(fluid, state, species)
-        return {name: x if name == "strain" else x[begin:end] for name, x in positions(fluid, state).items()}
+        return {
+            name: x if name == "strain" else x[begin:end]
+            for name, x in positions(fluid, state).items()
+        }
 
     return positions_of_species
 
 
 def _slots(fluid, state, species: int) -> tuple[int, int]:
-    """First slot and end of the beads of a species, known while tracing: beads of a species lie together."""
+    """First slot and end of the beads of a species, known while tracing: beads of a species lie
+    together."""
     for interaction, neighbours in zip(fluid.interactions, state.neighbours):
         for group, slots in zip(interaction.groups, neighbours.grid.groups):
             if group == (species,):
                 return slots
     groups = sorted({group for interaction in fluid.interactions for group in interaction.groups})
     raise ValueError(
-        f"species {species} is no group of its own, the groups of this fluid are {', '.join(map(str, groups))}; "
-        f"give it an interaction of its own, dpd.interaction(({species}, {species}), ...), or use observe=dpd.positions"
+        f"species {species} is no group of its own, the groups of this fluid are "
+        f"{', '.join(map(str, groups))}; give it an interaction of its own, "
+        f"dpd.interaction(({species}, {species}), ...), or use observe=dpd.positions"
     )
 
 
@@ -143,7 +166,9 @@ def configurational_temperature(fluid, state):
     n = state.position.shape[0]
     gradient, laplacian = jnp.zeros_like(state.position), 0.0
     for interaction, pairs in _geometries(fluid, state):
-        force = lambda h: evaluate(interaction.conservative, pairs._replace(h=h), fluid.kT, derivative=True)[1]
+        force = lambda h: evaluate(
+            interaction.conservative, pairs._replace(h=h), fluid.kT, derivative=True
+        )[1]
         f, slope = jax.jvp(force, (pairs.h,), (jnp.ones_like(pairs.h),))
         gradient += sum_onto_beads(pairs, f, n)
         # Beads at one place, where a Laplacian may be infinite, weigh nothing in the mean.
@@ -156,8 +181,9 @@ def configurational_temperature(fluid, state):
 def instantaneous_viscosity(fluid, state):
     """``sum zeta r^2 e_x^2 e_y^2 / V``: the part of the viscosity with no delay.
 
-    The mean over all off-diagonals; the response of the drag stress to a sudden shear. Across the line of centres
-    it is ``sum zeta r^2 e_y^2 (1 - e_x^2) / V``; spheres that rotate go on as they did.
+    The mean over all off-diagonals; the response of the drag stress to a sudden shear. Across the
+    line of centres it is ``sum zeta r^2 e_y^2 (1 - e_x^2) / V``; spheres that rotate go on as they
+    did.
     """
     total = 0.0
     for interaction, pairs in _geometries(fluid, state):

@@ -26,7 +26,8 @@ def is_kept(state: State) -> bool:
 def _sorted_parts(state: State) -> dict:
     """The ranges of slots that are sorted, each with the grid that says how (static).
 
-    A group of any list stays together, so beads are sorted within the parts that the groups have in common.
+    A group of any list stays together, so beads are sorted within the parts that the groups have in
+    common.
     """
     edges = {edge for n in state.neighbours for group in n.grid.groups for edge in group}
     if state.rotation is not None:
@@ -43,12 +44,14 @@ def _sorted_parts(state: State) -> dict:
 
 
 def list_ids(state: State):
-    """What keys the pairs of the lists: the ids (n,), or None where the slots do because nothing is sorted."""
+    """What keys the pairs of the lists: the ids (n,), or None where the slots do because nothing is
+    sorted."""
     return state.id if is_kept(state) else None
 
 
 def in_cell_order(state: State) -> State:
-    """The same beads, those of large groups sorted by the cells of their first list; small boxes are left alone."""
+    """The same beads, those of large groups sorted by the cells of their first list; small boxes
+    are left alone."""
     parts = _sorted_parts(state)
     if not parts:
         return state
@@ -66,7 +69,8 @@ def in_order_of(state: State, ids) -> State:
 
 
 def permuted(state: State, order) -> State:
-    """The beads ``order`` (n,), a permutation of the slots; lists keep their pairs and their order."""
+    """The beads ``order`` (n,), a permutation of the slots; lists keep their pairs and their
+    order."""
     names = ("position", "position_rest", "velocity", "force", "image", "id", "species", "size")
     slot = jnp.append(cells.inverse(order), state.n)
     neighbours = tuple(_renumbered(n, order, slot) for n in jax.lax.stop_gradient(state.neighbours))
@@ -79,5 +83,7 @@ def permuted(state: State, order) -> State:
 
 def _renumbered(neighbours, order, slot):
     old = neighbours.list
-    new = dataclasses.replace(old, idx=slot[old.idx], reference_position=old.reference_position[order])
+    new = dataclasses.replace(
+        old, idx=slot[old.idx], reference_position=old.reference_position[order]
+    )
     return dataclasses.replace(neighbours, list=new)

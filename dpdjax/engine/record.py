@@ -25,11 +25,14 @@ class Recorder:
         """An empty sum, of the shape the observable has, and what rounding has left out of it."""
         if not self.accumulates:
             return ()
-        zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(self._summand, fluid, state))
+        zeros = jax.tree.map(
+            lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(self._summand, fluid, state)
+        )
         return zeros, zeros
 
     def add(self, sums, fluid, state):
-        """The sums with the present value; plain ones would lose a per cent over a million steps in single precision."""
+        """The sums with the present value; plain ones would lose a per cent over a million steps in
+        single precision."""
         if not self.accumulates:
             return ()
         totals, rests = sums
@@ -39,24 +42,36 @@ class Recorder:
     def now(self, fluid, state) -> dict:
         """The observable by name; one that returns an array goes under its own."""
         value = self.observe(fluid, state)
-        return value if isinstance(value, dict) else {getattr(self.observe, "__name__", "value"): value}
+        return (
+            value
+            if isinstance(value, dict)
+            else {getattr(self.observe, "__name__", "value"): value}
+        )
 
     def value(self, fluid, state, sums, dt, every):
         if not self.accumulates:
             return self.now(fluid, state)
-        of_total = (lambda total: total / every) if self.how == "mean" else (lambda total: total * dt)
+        of_total = (
+            (lambda total: total / every) if self.how == "mean" else (lambda total: total * dt)
+        )
         return jax.tree.map(of_total, sums[0])
 
     def _summand(self, fluid, state) -> dict:
         """The observable as floating numbers: a sum of truths would be a truth."""
-        floating = lambda x: x if jnp.issubdtype(jnp.result_type(x), jnp.inexact) else jnp.asarray(x, state.position.dtype)
+        floating = lambda x: (
+            x
+            if jnp.issubdtype(jnp.result_type(x), jnp.inexact)
+            else jnp.asarray(x, state.position.dtype)
+        )
         return jax.tree.map(floating, self.now(fluid, state))
 
 
 def averaged(how: list[Recorder], fluid, state) -> tuple[str, ...]:
     """Names of what is recorded as a mean over its frame's interval, of one state or a batch."""
     of = lambda now: jax.vmap(now, (fluid.batch_axes(), 0)) if state.position.ndim == 3 else now
-    return tuple(name for r in how if r.how == "mean" for name in jax.eval_shape(of(r.now), fluid, state))
+    return tuple(
+        name for r in how if r.how == "mean" for name in jax.eval_shape(of(r.now), fluid, state)
+    )
 
 
 def mean(observe: Callable) -> Recorder:
@@ -70,7 +85,8 @@ def integral(observe: Callable) -> Recorder:
 
 
 def check_names(how: list[Recorder], fluid, state) -> None:
-    """Raise ValueError where two observables record different things under one name, or one takes ``time`` or ``step``.
+    """Raise ValueError where two observables record different things under one name, or one takes
+    ``time`` or ``step``.
 
     Raises TypeError for one that returns neither arrays by name nor an array.
     """
@@ -78,11 +94,15 @@ def check_names(how: list[Recorder], fluid, state) -> None:
     for one in how:
         for name in _recorded(one, fluid, state):
             if name in ("time", "step"):
-                raise ValueError(f"{name!r} is recorded by every frame and by {_told(one)}: return it under another name")
+                raise ValueError(
+                    f"{name!r} is recorded by every frame and by {_told(one)}: return it under "
+                    "another name"
+                )
             other = taken.setdefault(name, one)
             if other != one and not _same(name, one, other, fluid, state):
                 raise ValueError(
-                    f"{name!r} is recorded by {_told(other)} and by {_told(one)}: return one of them under another name"
+                    f"{name!r} is recorded by {_told(other)} and by {_told(one)}: return one of "
+                    "them under another name"
                 )
 
 
@@ -93,7 +113,8 @@ def _recorded(one: Recorder, fluid, state) -> dict:
         if not isinstance(name, str) or not hasattr(values, "shape"):
             what = "None" if values is None else f"a {type(values).__name__}"
             raise TypeError(
-                f"{_told(one)} returns {what} for {name!r}; an observable is a function observe(fluid, state) -> dict of arrays "
+                f"{_told(one)} returns {what} for {name!r}; an observable is a function "
+                "observe(fluid, state) -> dict of arrays "
                 "by name, such as lambda fluid, state: {'height': state.position[:, 2]}"
             )
     return found
@@ -101,8 +122,12 @@ def _recorded(one: Recorder, fluid, state) -> dict:
 
 def _same(name: str, one: Recorder, other: Recorder, fluid, state) -> bool:
     """Whether two recorders compute one name by the same program, as several of this package do."""
-    shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)), (fluid, state))
-    program = lambda recorder: jax.jit(lambda fluid, state: recorder.now(fluid, state)[name]).lower(*shapes).as_text()
+    shapes = jax.tree.map(
+        lambda x: jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)), (fluid, state)
+    )
+    program = lambda recorder: (
+        jax.jit(lambda fluid, state: recorder.now(fluid, state)[name]).lower(*shapes).as_text()
+    )
     return one.how == other.how and program(one) == program(other)
 
 
@@ -118,5 +143,8 @@ def recorders(observe) -> list[Recorder]:
     many = observe if isinstance(observe, (list, tuple)) else [observe]
     for one in many:
         if not callable(one) and not isinstance(one, Recorder):
-            raise TypeError(f"observe is {one!r}; give a function observe(fluid, state) -> dict, or a list of them")
+            raise TypeError(
+                f"observe is {one!r}; give a function observe(fluid, state) -> dict, or a list of "
+                "them"
+            )
     return [one if isinstance(one, Recorder) else Recorder(one) for one in many]

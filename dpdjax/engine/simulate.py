@@ -36,7 +36,9 @@ class Plan:
             value = getattr(self, name)
             whole = isinstance(value, (int, float, np.number)) and value % 1 == 0
             if isinstance(value, bool) or not whole or value < 1:
-                raise ValueError(f"Plan {name} is {value!r}; it must be a whole number of at least 1")
+                raise ValueError(
+                    f"Plan {name} is {value!r}; it must be a whole number of at least 1"
+                )
             object.__setattr__(self, name, int(value))
 
     @property
@@ -57,8 +59,8 @@ class Trajectory:
         every: steps between two frames (static).
         complete: whether all planned frames are there (static).
         means: names of those frames that are means over their interval (static).
-        failed: of a batch, the members that failed and why (static); their frames are NaN from then on, and their
-            final state is the last that was sound.
+        failed: of a batch, the members that failed and why (static); their frames are NaN from then
+            on, and their final state is the last that was sound.
     """
 
     final: State
@@ -74,8 +76,14 @@ class Trajectory:
     def __repr__(self):
         recorded = {name: jnp.shape(x) for name, x in self.frames.items() if hasattr(x, "shape")}
         count = recorded.get("step", (0,))[-1:]
-        head = f"Trajectory({count[0] if count else 0} frames, one in {self.every} steps of {summary.span(self.dt)}"
-        told = ["" if self.complete else "interrupted", f"members {[k for k, _ in self.failed]} failed" if self.failed else ""]
+        head = (
+            f"Trajectory({count[0] if count else 0} frames, one in {self.every} steps of "
+            f"{summary.span(self.dt)}"
+        )
+        told = [
+            "" if self.complete else "interrupted",
+            f"members {[k for k, _ in self.failed]} failed" if self.failed else "",
+        ]
         head = ", ".join([head, *filter(None, told)])
         values = ", ".join(f"{name} {shape}" for name, shape in recorded.items())
         return f"{head}: {values}; final {self.final!r})"
@@ -90,17 +98,29 @@ class Trajectory:
         return jnp.ndim(self.final.position) == 3
 
     def __getitem__(self, which) -> "Trajectory":
-        """Members of a batch with their own numbers: one by its number, or a batch by a slice or a list of numbers."""
+        """Members of a batch with their own numbers: one by its number, or a batch by a slice or a
+        list of numbers."""
         if not self.is_batch:
-            raise TypeError("this trajectory is no batch and has no members to choose from; its frames are in .frames")
+            raise TypeError(
+                "this trajectory is no batch and has no members to choose from; its frames are in "
+                ".frames"
+            )
         members = self.final.position.shape[0]
         slots = np.arange(members)[which]
         if np.ndim(slots) > 1 or not np.size(slots):
-            raise IndexError(f"{which!r} chooses no members of the {members} of this batch; give a number, a slice or a list")
+            raise IndexError(
+                f"{which!r} chooses no members of the {members} of this batch; give a number, a "
+                "slice or a list"
+            )
         numbers = self.fluid, self.dt, self.flow
         fluid, dt, flow = chosen(numbers, batch_axes(*numbers), slots)
         final, frames = chosen((self.final, self.frames), 0, slots)
-        failed = tuple((k, why) for k, member in enumerate(np.ravel(slots)) for n, why in self.failed if n == member)
+        failed = tuple(
+            (k, why)
+            for k, member in enumerate(np.ravel(slots))
+            for n, why in self.failed
+            if n == member
+        )
         new = {"final": final, "frames": frames, "fluid": fluid, "flow": flow, "dt": dt}
         complete = self.complete and not (failed and np.ndim(slots) == 0)
         return dataclasses.replace(self, **new, complete=complete, failed=failed)
@@ -117,12 +137,22 @@ class Trajectory:
         return self[left]
 
     def members(self) -> list["Trajectory"]:
-        """The trajectories of a batch one by one, each with its own numbers; of one run, that alone."""
+        """The trajectories of a batch one by one, each with its own numbers; of one run, that
+        alone."""
         return [self[k] for k in range(self.final.position.shape[0])] if self.is_batch else [self]
 
 
 def simulate(
-    fluid: Fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, remat: bool = False
+    fluid: Fluid,
+    state: State,
+    key,
+    dt,
+    plan: Plan,
+    flow=None,
+    *,
+    observe=None,
+    lam=0.5,
+    remat: bool = False,
 ) -> Trajectory:
     """Run ``plan.steps`` steps: pure, so ``jax.jit``, ``vmap``, ``jvp`` and ``grad`` all work.
 
@@ -131,7 +161,8 @@ def simulate(
         key: PRNG key; the noise of step s is a function of (key, s), s counted absolutely.
         dt: time step [time].
         plan: frames, and steps between two.
-        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.body_force(...)``, ``dpd.drive(...)`` or None.
+        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.body_force(...)``,
+            ``dpd.drive(...)`` or None.
         observe: what to record: a function ``observe(fluid, state) -> dict``, or a list of
             such, each possibly wrapped in ``dpd.mean`` or ``dpd.integral``.
         lam: weight of the predicted velocity.
@@ -161,12 +192,15 @@ def _judged(trajectory: Trajectory, trouble) -> Trajectory:
     return dataclasses.replace(trajectory, final=final)
 
 
-def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False, trips=None) -> Trajectory:
+def advance(
+    fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False, trips=None
+) -> Trajectory:
     """:func:`simulate` without checks and without the poison.
 
-    ``trips``, a pair of whole numbers, are the frames and the steps between two in place of those of the plan, and no
-    part of the program; the plan then gives the room for frames, and whether the beads are sorted before each
-    (``every >= LASTS``). Forward mode goes through, reverse mode does not.
+    ``trips``, a pair of whole numbers, are the frames and the steps between two in place of those
+    of the plan, and no part of the program; the plan then gives the room for frames, and whether
+    the beads are sorted before each (``every >= LASTS``). Forward mode goes through, reverse mode
+    does not.
     """
     flow = flows.quiet() if flow is None else flow
     dtype = state.position.dtype
@@ -191,22 +225,29 @@ def advance(fluid, state, key, dt, plan, flow, observe, lam=0.5, remat=False, tr
         view = seen(state)
         for r, s in zip(how, sums):
             values |= r.value(fluid, view, s, dt, every)
-        return dataclasses.replace(state, status=state.status | motion.trouble(fluid, state, dt)), values
+        return dataclasses.replace(
+            state, status=state.status | motion.trouble(fluid, state, dt)
+        ), values
 
     state = started(fluid, state, key, dt, flow)
     state = dataclasses.replace(state, status=state.status | list_trouble(fluid, state))
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
     if trips is None:
-        final, frames = jax.lax.scan(jax.checkpoint(frame) if remat else frame, state, length=plan.frames)
+        final, frames = jax.lax.scan(
+            jax.checkpoint(frame) if remat else frame, state, length=plan.frames
+        )
     else:
         final, frames = collected(frame, state, plan.frames, trips[0])
     final = dataclasses.replace(final, status=final.status | list_trouble(fluid, final))
-    return Trajectory(seen(final), frames, fluid, flow, dt, plan.every, means=averaged(how, fluid, state))
+    return Trajectory(
+        seen(final), frames, fluid, flow, dt, plan.every, means=averaged(how, fluid, state)
+    )
 
 
 def collected(frame, state, room: int, count):
-    """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program; the frames beyond it, up to ``room``, are 0."""
+    """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program; the frames beyond
+    it, up to ``room``, are 0."""
     shapes = jax.eval_shape(frame, state, None)[1]
     empty = jax.tree.map(lambda s: jnp.zeros((room, *s.shape), s.dtype), shapes)
 
@@ -254,14 +295,18 @@ def list_trouble(fluid, state):
     for interaction, neighbours in zip(fluid.interactions, state.neighbours):
         code = neighbours.list.error.code
         grid = neighbours.grid
-        trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag((code & 2) > 0, bits.WINDOW_OVERFLOW)
+        trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag(
+            (code & 2) > 0, bits.WINDOW_OVERFLOW
+        )
         largest = [jnp.max(radius[begin:end]) for begin, end in grid.groups]
         reach = jnp.stack([jnp.max(r) for r in interaction.reaches(*largest, fluid.kT)])
         trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
         sides = state.box.lengths
         trouble |= bits.flag(jnp.any(sides < 2 * grid.cut * (1 - 1e-5)), bits.BOX_TOO_SMALL)
         if grid.cells is not None:
-            across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray((grid.span, 1, 1), sides.dtype)
+            across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray(
+                (grid.span, 1, 1), sides.dtype
+            )
             least = across * grid.cut * (1 - 1e-5)
             trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
     return trouble
@@ -271,26 +316,32 @@ def check_run(fluid, state, key, dt, flow):
     """Errors that can be told before the work starts, each with the value and the cure."""
     check_kinds(fluid, state)
     if flow is not None and not isinstance(flow, flows.Flow):
-        flows_there_are = "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
-        raise TypeError(f"flow is {flow!r}; give {flows_there_are}, a class derived from dpd.Flow, or None")
+        flows_there_are = (
+            "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
+        )
+        raise TypeError(
+            f"flow is {flow!r}; give {flows_there_are}, a class derived from dpd.Flow, or None"
+        )
     prng_key(key)
     positive(dt, "dt")
     shape = jnp.shape(state.position)
     if len(shape) != 2 or shape[1] != 3 or jnp.shape(state.velocity) != shape:
         raise ValueError(
-            f"positions {shape} and velocities {jnp.shape(state.velocity)} must both be (beads, 3); "
-            "for a batch use jax.vmap, or dpd.run with a vector of keys"
+            f"positions {shape} and velocities {jnp.shape(state.velocity)} must both be (beads, "
+            "3); for a batch use jax.vmap, or dpd.run with a vector of keys"
         )
     lists, wanted = len(state.neighbours), len(fluid.interactions)
     if lists != wanted:
         raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
     highest = int(np.max(np.asarray(state.species), initial=0)) if is_concrete(state.species) else 0
     if highest >= fluid.species:
-        raise ValueError(f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}")
+        raise ValueError(
+            f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}"
+        )
     if set(state.tally.virial) != set(fluid.origins):
         raise ValueError(
-            f"the state keeps stresses as {', '.join(state.tally.virial)}, the fluid as {', '.join(fluid.origins)}: "
-            "make the state with this fluid"
+            f"the state keeps stresses as {', '.join(state.tally.virial)}, the fluid as "
+            f"{', '.join(fluid.origins)}: make the state with this fluid"
         )
     check_rotation(fluid, state)
     check_finite(state)
@@ -307,7 +358,10 @@ def check_run(fluid, state, key, dt, flow):
 def check_kinds(fluid, state):
     """Raise TypeError, with what to give, for anything but a fluid and a state."""
     if isinstance(fluid, State) and isinstance(state, Fluid):
-        raise TypeError("fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) comes first")
+        raise TypeError(
+            "fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) "
+            "comes first"
+        )
     if not isinstance(fluid, Fluid):
         cure = "give its .fluid" if hasattr(fluid, "fluid") else "build one with dpd.fluid(...)"
         raise TypeError(f"fluid is a {type(fluid).__name__}; {cure}")
@@ -318,7 +372,8 @@ def check_kinds(fluid, state):
 
 
 def check_finite(state):
-    """Refuse positions or velocities that are not finite, of one state or a batch, and name the first such bead."""
+    """Refuse positions or velocities that are not finite, of one state or a batch, and name the
+    first such bead."""
     for name in ("position", "velocity"):
         values = getattr(state, name)
         if not is_concrete(values) or np.all(np.isfinite(np.asarray(values))):
@@ -326,7 +381,10 @@ def check_finite(state):
         where = np.argwhere(~np.all(np.isfinite(np.asarray(values)), axis=-1))[0]
         member = f" of member {where[0]}" if len(where) == 2 else ""
         value = np.asarray(values)[tuple(where)].tolist()
-        raise ValueError(f"the {name} of bead {where[-1]}{member} is {value} at the start; give a state of finite numbers")
+        raise ValueError(
+            f"the {name} of bead {where[-1]}{member} is {value} at the start; give a state of "
+            "finite numbers"
+        )
 
 
 def check_rotation(fluid, state):
@@ -339,7 +397,10 @@ def check_rotation(fluid, state):
     if has and is_concrete(state.species):
         turning = np.isin(np.asarray(state.species), fluid.rotating)
         if not np.all(turning[state.rotation.slots]) or turning.sum() != state.rotation.m:
-            raise ValueError("the beads of the state that rotate are of other species: make the state with this fluid")
+            raise ValueError(
+                "the beads of the state that rotate are of other species: make the state with this "
+                "fluid"
+            )
 
 
 LAST_STEP = 2**31 - 1
@@ -347,7 +408,8 @@ LAST_STEP = 2**31 - 1
 
 
 def check_plan(plan, state=None):
-    """Raise TypeError for anything but a :class:`Plan`, ValueError for one that outruns the count of the steps of a state."""
+    """Raise TypeError for anything but a :class:`Plan`, ValueError for one that outruns the count
+    of the steps of a state."""
     if not isinstance(plan, Plan):
         raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
     if state is None or not is_concrete(state.step):
@@ -355,13 +417,15 @@ def check_plan(plan, state=None):
     end = int(np.max(np.asarray(state.step))) + plan.steps
     if end > LAST_STEP:
         raise ValueError(
-            f"the run would end at step {end}, and steps, by which the noise is keyed, are counted up to {LAST_STEP}: start the "
-            "count anew, dataclasses.replace(state, step=jnp.zeros_like(state.step)), and give another key"
+            f"the run would end at step {end}, and steps, by which the noise is keyed, are counted "
+            f"up to {LAST_STEP}: start the count anew, dataclasses.replace(state, "
+            "step=jnp.zeros_like(state.step)), and give another key"
         )
 
 
 def check_dt(fluid, state, dt):
-    """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot, and name the member it is of."""
+    """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot, and
+    name the member it is of."""
     if not is_concrete(fluid, dt, state.box.lengths, state.species, state.size):
         return
     counts = np.bincount(np.asarray(state.species), minlength=fluid.species)

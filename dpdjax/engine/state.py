@@ -24,8 +24,8 @@ class Tally:
 
     Attributes:
         energy: potential energy [energy].
-        virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first axis, the separation
-            along the second. Symmetric where all forces are central.
+        virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first
+            axis, the separation along the second. Symmetric where all forces are central.
     """
 
     energy: Any
@@ -37,7 +37,9 @@ class Tally:
 
     def plus(self, energy, virial: dict) -> "Tally":
         """With the sums of more pairs, whose virials may be of some of the origins only."""
-        return Tally(self.energy + energy, self.virial | {k: self.virial[k] + v for k, v in virial.items()})
+        return Tally(
+            self.energy + energy, self.virial | {k: self.virial[k] + v for k, v in virial.items()}
+        )
 
 
 @jax.tree_util.register_dataclass
@@ -49,15 +51,18 @@ class State:
         position: wrapped Cartesian positions (n, 3) [length].
         velocity: peculiar velocities, the streaming velocity taken off, (n, 3).
         force: force of the last step, on which the next half kick depends, (n, 3).
-        image: vectors of the lattice, as it is now, that each bead was carried over since the start, (n, 3) int32.
-        id: what the noise of a bead is keyed by, a permutation of 0 to n - 1, (n,) int32; travels with the bead.
+        image: vectors of the lattice, as it is now, that each bead was carried over since the
+            start, (n, 3) int32.
+        id: what the noise of a bead is keyed by, a permutation of 0 to n - 1, (n,) int32; travels
+            with the bead.
         species: index into the tables of the fluid, (n,) int32; beads of a species lie together.
-        size: relative size of each bead, (n,): its radius in those of its species, the mass goes as the cube.
+        size: relative size of each bead, (n,): its radius in those of its species, the mass goes as
+            the cube.
         box: lengths and strain.
         step: absolute number of the step, which keys the noise.
         time: elapsed time, which body forces and oscillations depend on.
-        position_rest, strain_rest, time_rest: what rounding has left out of the positions (n, 3), the strain of the box and
-            the time, which grow by many small steps.
+        position_rest, strain_rest, time_rest: what rounding has left out of the positions (n, 3),
+            the strain of the box and the time, which grow by many small steps.
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
         rotation: of the beads that rotate, or None.
@@ -98,7 +103,10 @@ class State:
         sides = " x ".join(summary.span(self.box.lengths[..., k]) for k in range(3))
         tilt = f" at strain {summary.span(self.box.strain)}" if np.any(self.box.strain) else ""
         trouble = bits.describe(self.status)
-        return f"box {sides}{tilt}, step {summary.span(self.step)}, time {summary.span(self.time)}" + (trouble and f": {trouble}")
+        return (
+            f"box {sides}{tilt}, step {summary.span(self.step)}, time {summary.span(self.time)}"
+            + (trouble and f": {trouble}")
+        )
 
     @property
     def n(self) -> int:
@@ -109,7 +117,8 @@ class State:
     def unwrapped(self):
         """Positions followed through the periodic images (n, 3) [length].
 
-        Their differences are displacements; under shear they hold what the flow carries a bead along, ``rate y``.
+        Their differences are displacements; under shear they hold what the flow carries a bead
+        along, ``rate y``.
         """
         lengths = self.box.lengths
         shift = (self.box.strain * lengths[..., 1])[..., None] * self.image[..., 1]
@@ -128,7 +137,9 @@ def masses(fluid: Fluid, state: State):
 
 def radii(fluid: Fluid, state: State):
     """Radius of each bead (n,), 0 for points [length]."""
-    of_species = jnp.stack([jnp.zeros((), state.size.dtype) if r is None else r for r in fluid.radius])
+    of_species = jnp.stack(
+        [jnp.zeros((), state.size.dtype) if r is None else r for r in fluid.radius]
+    )
     return of_species[state.species] * state.size
 
 
@@ -139,7 +150,8 @@ def inertias(fluid: Fluid, state: State):
 
 
 def inertia_of(fluid: Fluid, species, size):
-    """Moment of inertia of beads of these species and relative sizes (m,); goes as the fifth power of the size."""
+    """Moment of inertia of beads of these species and relative sizes (m,); goes as the fifth power
+    of the size."""
     of_species = jnp.stack([jnp.ones((), size.dtype) if x is None else x for x in fluid.inertia])
     return of_species[species] * size**5
 
@@ -156,9 +168,11 @@ def assemble(
     origins: tuple[str, ...] = ORIGINS,
     rotation: Rotation | None = None,
 ) -> State:
-    """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,), relative sizes (n,).
+    """A state from arrays: positions (n, 3) anywhere, peculiar velocities (n, 3), species (n,),
+    relative sizes (n,).
 
-    ``origins``: names under which the fluid keeps stresses; ``rotation``: that of the beads that rotate.
+    ``origins``: names under which the fluid keeps stresses; ``rotation``: that of the beads that
+    rotate.
     """
     n = position.shape[0]
     position, _ = boxes.wrap(box, position)
@@ -186,7 +200,8 @@ def assemble(
 
 
 def grow(state: State, codes=None) -> State:
-    """The same state with larger lists, one or a batch; ``codes``: of each list what is to grow, by default all.
+    """The same state with larger lists, one or a batch; ``codes``: of each list what is to grow, by
+    default all.
 
     A complete list keeps its pairs in order, so a replay is bitwise the same; one that
     overflowed is built anew.

@@ -14,16 +14,25 @@ BAD_LAW = 64
 
 MEANINGS = {
     PAIRS_OVERFLOW: "a neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
-    WINDOW_OVERFLOW: "a cell of the neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
-    NOT_FINITE: "positions or velocities became NaN or infinite; use a smaller dt, or a start whose beads are further apart",
-    REACH_EXCEEDED: "a term reaches further than the list was made for; make the state with this fluid",
-    RUN_AWAY: "the beads ran away, hotter than their energies explain; use a smaller shear rate or dt, or a start whose beads are "
+    WINDOW_OVERFLOW: "a cell of the neighbour list overflowed; use dpd.run, which grows it, or "
+    "dpd.grow(state)",
+    NOT_FINITE: "positions or velocities became NaN or infinite; use a smaller dt, or a start "
+    "whose beads are further apart",
+    REACH_EXCEEDED: "a term reaches further than the list was made for; make the state with this "
+    "fluid",
+    RUN_AWAY: "the beads ran away, hotter than their energies explain; use a smaller shear rate or "
+    "dt, or a start whose beads are "
     'further apart, start="lattice"',
-    BOX_TOO_SMALL: "a side of the box fell below 2 (reach + skin); use a larger box or a smaller skin",
-    BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other coefficients",
+    BOX_TOO_SMALL: "a side of the box fell below 2 (reach + skin); use a larger box or a smaller "
+    "skin",
+    BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other "
+    "coefficients",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
-CROWDED = "the beads crowd together until no neighbour list holds them; give repulsions that keep them apart"
+CROWDED = (
+    "the beads crowd together until no neighbour list holds them; give repulsions that keep "
+    "them apart"
+)
 """What an overflow means where lists were grown again and again."""
 
 
@@ -33,19 +42,24 @@ def flag(condition, bit: int):
 
 
 def describe(status, grown: bool = False) -> str:
-    """The bits in words; empty where all is well. A batch is merged; ``grown``: lists that overflow were grown before."""
+    """The bits in words; empty where all is well. A batch is merged; ``grown``: lists that overflow
+    were grown before."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel(), initial=0))
     text_of = lambda bit: CROWDED if grown and bit & OVERFLOWS else MEANINGS[bit]
     return "; ".join(dict.fromkeys(text_of(bit) for bit in MEANINGS if bits & bit))
 
 
 def poison(tree, status, inputs):
-    """NaN in every float of ``tree``, and in every derivative with respect to ``inputs``, unless the status is clear."""
+    """NaN in every float of ``tree``, and in every derivative with respect to ``inputs``, unless
+    the status is clear."""
     harm = jnp.where(status == 0, 0.0, jnp.nan)
-    # Zero, with a derivative of one for each input: the harm reaches even those that the tree does not depend on.
+    # Zero, with a derivative of one for each input: the harm reaches even those that the tree does
+    # not depend on.
     zero = lambda x: jnp.sum(jnp.where(jnp.isfinite(x), x - jax.lax.stop_gradient(x), 0.0))
     link = sum(zero(x) for x in jax.tree.leaves(inputs) if _is_floating(x))
-    return jax.tree.map(lambda leaf: leaf + (harm * link).astype(leaf.dtype) if _is_floating(leaf) else leaf, tree)
+    return jax.tree.map(
+        lambda leaf: leaf + (harm * link).astype(leaf.dtype) if _is_floating(leaf) else leaf, tree
+    )
 
 
 def _is_floating(leaf) -> bool:

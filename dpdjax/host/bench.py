@@ -25,7 +25,17 @@ LARGEST_SETTLE, LONGEST = 100_000_000, 50_000_000
 
 
 def bench(
-    fluid, key, *, beads: int, dt, density=3.0, batch: int = 1, skin=None, steps=None, repeats: int = 5, tangent=False
+    fluid,
+    key,
+    *,
+    beads: int,
+    dt,
+    density=3.0,
+    batch: int = 1,
+    skin=None,
+    steps=None,
+    repeats: int = 5,
+    tangent=False,
 ) -> dict:
     """Measure the speed of plain runs of a cubic box, or of a batch as ``dpd.run`` would run it.
 
@@ -60,10 +70,14 @@ def bench(
         "batch": batch,
         "dt": float(dt),
         "skin": state.neighbours[0].grid.skin,
-        "list_pairs": int(np.max(np.sum(np.asarray(state.neighbours[0].list.idx[..., 0, :]) < beads, axis=-1))),
+        "list_pairs": int(
+            np.max(np.sum(np.asarray(state.neighbours[0].list.idx[..., 0, :]) < beads, axis=-1))
+        ),
     }
     if tangent:
-        result["tangent_over_primal"] = _Program(_tangent(dt, steps), fluid, state, keys).seconds(repeats) / seconds
+        result["tangent_over_primal"] = (
+            _Program(_tangent(dt, steps), fluid, state, keys).seconds(repeats) / seconds
+        )
     return result
 
 
@@ -87,7 +101,9 @@ class _Program:
 
     def seconds(self, repeats) -> float:
         """Median duration of a call, one call to warm up left out."""
-        return statistics.median([_duration(self.compiled, *self.arguments) for _ in range(repeats + 1)][1:])
+        return statistics.median(
+            [_duration(self.compiled, *self.arguments) for _ in range(repeats + 1)][1:]
+        )
 
 
 def _duration(function, *arguments) -> float:
@@ -104,7 +120,9 @@ def _settled(fluid, key, beads, density, batch, skin, dt) -> tuple[State, jax.Ar
     state = start(keys) if batch == 1 else jax.vmap(start)(keys)
     coarse = max(float(dt), suggest_dt(fluid, density))
     steps = min(SETTLE, LARGEST_SETTLE / (beads * batch))
-    state = run(fluid, state, keys, coarse, Plan(max(2, int(steps / 5)), 5), progress=False).final.restarted()
+    state = run(
+        fluid, state, keys, coarse, Plan(max(2, int(steps / 5)), 5), progress=False
+    ).final.restarted()
     # So that the force at the start is no part of what is timed.
     return run(fluid, state, keys, dt, Plan(2, 1), progress=False).final, keys
 
@@ -121,7 +139,9 @@ def _boxes(function, keys):
 
 def _plain(dt, steps):
     def program(fluid, state, keys):
-        return _boxes(lambda s, k: simulate(fluid, s, k, dt, Plan(2, steps // 2)).final, keys)(state, keys)
+        return _boxes(lambda s, k: simulate(fluid, s, k, dt, Plan(2, steps // 2)).final, keys)(
+            state, keys
+        )
 
     return program
 
@@ -139,7 +159,9 @@ def _tangent(dt, steps):
 
 def _rebuild_seconds(state, keys, repeats) -> float:
     grid = state.neighbours[0].grid
-    build = lambda state, _: lists.allocate(grid, state.box, state.position, order.list_ids(state)).list.idx
+    build = lambda state, _: (
+        lists.allocate(grid, state.box, state.position, order.list_ids(state)).list.idx
+    )
     sort = jax.jit(_boxes(lambda state, _: order.in_cell_order(state), keys))
     return _Program(_boxes(build, keys), sort(state, keys), keys).seconds(repeats)
 
@@ -147,7 +169,9 @@ def _rebuild_seconds(state, keys, repeats) -> float:
 def _steps_per_rebuild(fluid, state, keys, dt, steps) -> float:
     """Steps over the number of them in which a list was built, as its reference positions tell."""
     anchor = lambda fluid, state: {"anchor": state.neighbours[0].list.reference_position[0]}
-    frames = run(fluid, state, keys, dt, Plan(steps, 1), observe=anchor, progress=False).frames["anchor"]
+    frames = run(fluid, state, keys, dt, Plan(steps, 1), observe=anchor, progress=False).frames[
+        "anchor"
+    ]
     frames = np.reshape(frames, (-1, steps, 3))
     built = np.any(frames[:, 1:] != frames[:, :-1], axis=-1).sum(axis=-1)
     return float(steps / max(1.0, built.mean()))

@@ -11,15 +11,17 @@ LEAST = 0.5
 
 
 def compilation_cache(folder=None) -> str:
-    """Keep compiled programs in a folder, where later runs of the same shapes find them; returns the folder.
+    """Keep compiled programs in a folder, where later runs of the same shapes find them; returns
+    the folder.
 
-    One line at the top of a script or notebook, best before anything has imported jax: on a CPU jax logs a page for every
-    program that it reads back, and that can be silenced only before it is imported. From then on XLA's own log tells
-    fatal errors only; exceptions are as before.
+    One line at the top of a script or notebook, best before anything has imported jax: on a CPU jax
+    logs a page for every program that it reads back, and that can be silenced only before it is
+    imported. From then on XLA's own log tells fatal errors only; exceptions are as before.
 
     Args:
-        folder: by default ``dpdjax`` in the user's folder for caches (``XDG_CACHE_HOME``, ``~/.cache``), with a
-            folder inside for each kind of processor, since programs of one need not run on another.
+        folder: by default ``dpdjax`` in the user's folder for caches (``XDG_CACHE_HOME``,
+            ``~/.cache``), with a folder inside for each kind of processor, since programs of one
+            need not run on another.
     """
     if "jax" not in sys.modules:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

@@ -15,7 +15,8 @@ from dpdjax.host.run import run_on
 from dpdjax.model.colloids import solvent_reach
 
 DRAWN_RADIUS = 0.5
-"""Radius of beads that are points, for drawing alone, over the reach of those of the first species."""
+"""Radius of beads that are points, for drawing alone, over the reach of those of the first species.
+"""
 RECORDED = ("position", "velocity", "image", "strain")
 TURNING = ("orientation", "angular_velocity")
 """Recorded too where beads rotate."""
@@ -37,13 +38,16 @@ def gsd_record(fluid, state) -> dict:
 
 @contextlib.contextmanager
 def gsd_writer(path, fluid, state, mode: str = "x"):
-    """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that recorded :func:`gsd_record`.
+    """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that
+    recorded :func:`gsd_record`.
 
-    What was written is in the file when ``write`` returns: a process killed later loses nothing of it.
+    What was written is in the file when ``write`` returns: a process killed later loses nothing of
+    it.
 
-    Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids. Diameters, masses and the
-    box with its tilt are written too; positions are centred, and velocities those of the lab where the flow is given.
-    Images unwrap positions where the strain stays as it is. Beads that rotate have their orientation, moment of inertia and angular
+    Species are the types A, B, ... in turn: of a suspension A the solvent and B the colloids.
+    Diameters, masses and the box with its tilt are written too; positions are centred, and
+    velocities those of the lab where the flow is given. Images unwrap positions where the strain
+    stays as it is. Beads that rotate have their orientation, moment of inertia and angular
     momentum, as HOOMD-blue means them; the others are not turned.
 
     Args:
@@ -51,19 +55,22 @@ def gsd_writer(path, fluid, state, mode: str = "x"):
         fluid, state: what runs, and the state it starts from.
         mode: ``"x"`` for a new file, ``"w"`` to replace one, ``"r+"`` to go on with one.
 
-    Raises ImportError where the package ``gsd`` is missing, FileExistsError by ``"x"`` for a file that is there, ValueError by
-    ``"r+"`` for one of other beads or another box.
+    Raises ImportError where the package ``gsd`` is missing, FileExistsError by ``"x"`` for a file
+    that is there, ValueError by ``"r+"`` for one of other beads or another box.
     """
     hoomd = _hoomd()
     if mode == "x":
-        refuse_existing(path, "mode=\"w\" to replace it, mode=\"r+\" to go on with it")
+        refuse_existing(path, 'mode="w" to replace it, mode="r+" to go on with it')
     if mode == "r+":
         _check_fits(path, fluid, state)
     template = _beads(fluid, state)
     with hoomd.open(str(path), mode) as file:
 
         def write(frames, flow=None):
-            file.extend(_frame(hoomd.Frame(), template, state, frames, k, flow) for k in range(len(frames["step"])))
+            file.extend(
+                _frame(hoomd.Frame(), template, state, frames, k, flow)
+                for k in range(len(frames["step"]))
+            )
             file.flush()
 
         yield write
@@ -93,11 +100,15 @@ def _check_fits(path, fluid, state) -> int:
     if last is None:
         return 0
     beads, sides = _beads(fluid, state), np.asarray(state.box.lengths)
-    same = all(np.array_equal(getattr(last.particles, name), beads[name]) for name in ("N", "types", "typeid", "mass", "diameter"))
+    same = all(
+        np.array_equal(getattr(last.particles, name), beads[name])
+        for name in ("N", "types", "typeid", "mass", "diameter")
+    )
     if not same or not np.allclose(last.configuration.box[:3], sides, rtol=1e-6, atol=0):
         raise ValueError(
-            f"{path} holds {last.particles.N} beads in a box of {last.configuration.box[:3].tolist()}, other than "
-            f"the {state.n} in {sides.tolist()} of this state; give another file"
+            f"{path} holds {last.particles.N} beads in a box of "
+            f"{last.configuration.box[:3].tolist()}, other than the {state.n} in {sides.tolist()} "
+            "of this state; give another file"
         )
     return last.configuration.step
 
@@ -115,15 +126,20 @@ def _check_follows(path, fluid, state) -> None:
 def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
     """Writes the frames of one run, recorded with ``observe=dpd.gsd_record``, to a new GSD file.
 
-    Raises ValueError for a batch or a run that recorded something else, FileExistsError for a file that is there, which
-    ``overwrite=True`` replaces.
+    Raises ValueError for a batch or a run that recorded something else, FileExistsError for a file
+    that is there, which ``overwrite=True`` replaces.
     """
     if trajectory.is_batch:
-        raise ValueError("a GSD file holds one run; write the members of a batch one by one, trajectory.members()")
+        raise ValueError(
+            "a GSD file holds one run; write the members of a batch one by one, "
+            "trajectory.members()"
+        )
     wanted = RECORDED if trajectory.final.rotation is None else RECORDED + TURNING
     missing = set(wanted) - set(trajectory.frames)
     if missing:
-        raise ValueError(f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.gsd_record")
+        raise ValueError(
+            f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.gsd_record"
+        )
     if not overwrite:
         refuse_existing(path, "overwrite=True to replace it")
     with gsd_writer(path, trajectory.fluid, trajectory.final, "w") as write:
@@ -131,21 +147,35 @@ def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
 
 
 def run_to_gsd(
-    path, fluid, state, key, dt, plan: Plan, flow=None, *,
-    piece: int = 10, overwrite: bool = False, append: bool = False, progress: bool = True,
+    path,
+    fluid,
+    state,
+    key,
+    dt,
+    plan: Plan,
+    flow=None,
+    *,
+    piece: int = 10,
+    overwrite: bool = False,
+    append: bool = False,
+    progress: bool = True,
 ) -> Trajectory:
     """:func:`dpdjax.run` with its frames written to a GSD file as they come, ``piece`` at a time.
 
-    Returns the trajectory with the standard record, and how beads that rotate are turned; positions are in the file alone,
-    so that long runs fit in memory. Ctrl-C ends it early, with all whole pieces in the file; a process that is killed leaves
-    them too. A file that is there is refused, or replaced by ``overwrite=True``, or gone on with by ``append=True``.
+    Returns the trajectory with the standard record, and how beads that rotate are turned; positions
+    are in the file alone, so that long runs fit in memory. Ctrl-C ends it early, with all whole
+    pieces in the file; a process that is killed leaves them too. A file that is there is refused,
+    or replaced by ``overwrite=True``, or gone on with by ``append=True``.
 
-    Raises FileExistsError for a file that is there, ValueError for a batch or a file to append to that does not fit, and as
-    :func:`dpdjax.run` does; a file of that name is then left as it was.
+    Raises FileExistsError for a file that is there, ValueError for a batch or a file to append to
+    that does not fit, and as :func:`dpdjax.run` does; a file of that name is then left as it was.
     """
     check_kinds(fluid, state)
     if prng_key(key).ndim or state.position.ndim == 3 or fluid.is_batch or np.ndim(dt):
-        raise ValueError("a GSD file holds one run; run the batch with observe=dpd.gsd_record and write its members by write_gsd")
+        raise ValueError(
+            "a GSD file holds one run; run the batch with observe=dpd.gsd_record and write its "
+            "members by write_gsd"
+        )
     check_plan(plan)
     check_run(fluid, state, key, dt, flow)
     mode = _mode(path, overwrite, append)
@@ -158,7 +188,8 @@ def run_to_gsd(
         while done < plan.frames:
             part = Plan(min(piece, plan.frames - done), plan.every)
             ran = run_on(line, fluid, state, key, dt, part, flow, observe=[standard, gsd_record])
-            # Opened when there is something to write: a run that is refused, or ends at once, leaves an old file as it was.
+            # Opened when there is something to write: a run that is refused, or ends at once,
+            # leaves an old file as it was.
             if write is None and (ran.frames or not os.path.exists(path)):
                 write = stack.enter_context(gsd_writer(path, fluid, start, mode))
             if ran.frames:
@@ -168,7 +199,9 @@ def run_to_gsd(
             if not ran.complete:
                 break
     frames = {name: np.concatenate([p[name] for p in pieces if p]) for name in pieces[0]}
-    return Trajectory(state, frames, ran.fluid, ran.flow, ran.dt, plan.every, ran.complete, ran.means)
+    return Trajectory(
+        state, frames, ran.fluid, ran.flow, ran.dt, plan.every, ran.complete, ran.means
+    )
 
 
 def _beads(fluid, state) -> dict:
@@ -179,7 +212,8 @@ def _beads(fluid, state) -> dict:
         "types": [chr(ord("A") + k) for k in range(fluid.species)],
         "typeid": np.asarray(state.species, np.uint32),
         "mass": np.asarray(masses(fluid, state), np.float32),
-        "diameter": 2 * np.where(radius > 0, radius, DRAWN_RADIUS * solvent_reach(fluid)).astype(np.float32),
+        "diameter": 2
+        * np.where(radius > 0, radius, DRAWN_RADIUS * solvent_reach(fluid)).astype(np.float32),
     }
     if state.rotation is not None:
         beads["moment_inertia"] = np.zeros((state.n, 3), np.float32)
@@ -204,7 +238,9 @@ def _frame(frame, beads, state, frames, k, flow):
         setattr(frame.particles, name, value)
     frame.particles.position = position.astype(np.float32)
     frame.particles.velocity = velocity.astype(np.float32)
-    frame.particles.image = np.asarray(frames["image"][k], np.int32) + np.array([[1, 0, 0]]) * turns[:, None].astype(np.int32)
+    frame.particles.image = np.asarray(frames["image"][k], np.int32) + np.array(
+        [[1, 0, 0]]
+    ) * turns[:, None].astype(np.int32)
     if state.rotation is not None:
         orientation, velocity = (np.asarray(frames[name][k], float) for name in TURNING)
         turned = _turned(orientation, velocity, state.rotation.slots, beads["moment_inertia"])
@@ -213,7 +249,8 @@ def _frame(frame, beads, state, frames, k, flow):
 
 
 def _turned(orientation, velocity, slots, inertia):
-    """Quaternions (n, 4) of orientation and of angular momentum: HOOMD's is ``2 q (0, L')``, L' in the axes of the body.
+    """Quaternions (n, 4) of orientation and of angular momentum: HOOMD's is ``2 q (0, L')``, L' in
+    the axes of the body.
 
     In those of the lab, as here, it is ``2 (0, L) q``.
     """
@@ -221,5 +258,7 @@ def _turned(orientation, velocity, slots, inertia):
     every[:, 0] = 1.0
     every[slots] = orientation
     L, w, v = inertia[slots] * velocity, orientation[:, :1], orientation[:, 1:]
-    momentum[slots] = 2 * np.concatenate([-np.sum(L * v, axis=1, keepdims=True), w * L + np.cross(L, v)], axis=1)
+    momentum[slots] = 2 * np.concatenate(
+        [-np.sum(L * v, axis=1, keepdims=True), w * L + np.cross(L, v)], axis=1
+    )
     return every, momentum

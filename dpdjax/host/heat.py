@@ -14,14 +14,19 @@ FLUCTUATIONS = 5.0
 
 
 def warn_if_hot(trajectory, stacklevel: int = 3):
-    """Warns, with the likely cause, where beads end well above kT, or are steadily off it in the later half of the run.
+    """Warns, with the likely cause, where beads end well above kT, or are steadily off it in the
+    later half of the run.
 
     Of a batch the worst member is told.
     """
     fluid, state = trajectory.fluid, trajectory.final
     if not any(i.drag for i in fluid.interactions):
         return
-    observe = jax.vmap(temperature, (fluid.batch_axes(), 0)) if np.ndim(state.position) == 3 else temperature
+    observe = (
+        jax.vmap(temperature, (fluid.batch_axes(), 0))
+        if np.ndim(state.position) == 3
+        else temperature
+    )
     last = np.atleast_1d(np.asarray(observe(fluid, state), float))
     kT = np.broadcast_to(np.asarray(fluid.kT, float), last.shape)
     recorded = np.atleast_2d(np.asarray(trajectory.frames.get("temperature", np.nan), float))
@@ -39,17 +44,24 @@ def _told(last: float, kT: float, recorded, allowed: float, flow):
     """The excess over kT and what to say of it; None where there is none."""
     later = recorded[len(recorded) // 2 :]
     if np.isfinite(last) and kT > 0 and last > allowed * kT:
-        ends = f"the run ends at a kinetic temperature of {last:.3g}, {last / kT:.3g} times its kT = {kT:.3g}"
+        ends = (
+            f"the run ends at a kinetic temperature of {last:.3g}, {last / kT:.3g} times its kT "
+            f"= {kT:.3g}"
+        )
         return last / kT - 1, f"{ends}: {_cause(flow, _drifts(recorded))}"
     steady = None if _drifts(later) else is_off(later, kT)
     if steady is None:
         return None
-    stays = f"the later half of the run is steadily at a kinetic temperature of {steady:.4g} where kT is {kT:.4g}"
+    stays = (
+        f"the later half of the run is steadily at a kinetic temperature of {steady:.4g} where "
+        f"kT is {kT:.4g}"
+    )
     return steady / kT - 1, f"{stays}: {_cause(flow, 0)}"
 
 
 def _drifts(series) -> int:
-    """-1 for a series that falls, 1 for one that rises, 0 for one that does neither or is too short to tell."""
+    """-1 for a series that falls, 1 for one that rises, 0 for one that does neither or is too
+    short to tell."""
     if len(series) < 4 or not np.all(np.isfinite(series)) or np.ptp(series) == 0:
         return 0
     found = kendalltau(np.arange(len(series)), series)
@@ -60,7 +72,10 @@ def _cause(flow, drifts: int) -> str:
     if drifts < 0:
         return "it still cools from its start; run on before measuring"
     if np.any(np.asarray(flow.rate) != 0):
-        return "the shear heats it faster than drag cools it, or dt is too large; use a smaller rate, or a smaller dt"
+        return (
+            "the shear heats it faster than drag cools it, or dt is too large; use a smaller "
+            "rate, or a smaller dt"
+        )
     if drifts > 0:
         return "it heats up; use a smaller dt or, where a force drives it, a smaller one"
     return "dt is too large, dpd.suggest_dt gives one that is not, or it still cools from its start"

@@ -17,7 +17,19 @@ from dpdjax.engine.state import State, Tally
 
 FORMAT = 5
 TURNING = ("velocity", "torque", "orientation", "orientation_rest")
-ARRAYS = ("position", "velocity", "force", "image", "id", "species", "size", "step", "time", "started", "status")
+ARRAYS = (
+    "position",
+    "velocity",
+    "force",
+    "image",
+    "id",
+    "species",
+    "size",
+    "step",
+    "time",
+    "started",
+    "status",
+)
 ARRAYS += ("position_rest", "strain_rest", "time_rest")
 
 
@@ -29,7 +41,8 @@ def refuse_existing(path, cure: str) -> None:
 
 @contextlib.contextmanager
 def replacing(path):
-    """A binary file that takes its name when it is whole: until then, and after an error, an old one stays as it was."""
+    """A binary file that takes its name when it is whole: until then, and after an error, an old
+    one stays as it was."""
     unfinished = f"{os.fspath(path)}.part"
     try:
         with open(unfinished, "wb") as file:
@@ -45,10 +58,14 @@ def replacing(path):
 def save_state(path, state: State) -> None:
     """Write a state; ``load_state`` gives back the same bits, lists and all.
 
-    A run goes on from it exactly, given the key it was started with. A file of that name is replaced when the new one is whole.
+    A run goes on from it exactly, given the key it was started with. A file of that name is
+    replaced when the new one is whole.
     """
     arrays = {name: np.asarray(getattr(state, name)) for name in ARRAYS}
-    arrays |= {"box_lengths": np.asarray(state.box.lengths), "box_strain": np.asarray(state.box.strain)}
+    arrays |= {
+        "box_lengths": np.asarray(state.box.lengths),
+        "box_strain": np.asarray(state.box.strain),
+    }
     arrays |= {"tally_energy": np.asarray(state.tally.energy)}
     arrays |= {f"tally_virial_{origin}": np.asarray(v) for origin, v in state.tally.virial.items()}
     for k, n in enumerate(state.neighbours):
@@ -59,7 +76,9 @@ def save_state(path, state: State) -> None:
             f"list{k}_strain": np.asarray(n.strain),
         }
     if state.rotation is not None:
-        arrays |= {f"rotation_{name}": np.asarray(getattr(state.rotation, name)) for name in TURNING}
+        arrays |= {
+            f"rotation_{name}": np.asarray(getattr(state.rotation, name)) for name in TURNING
+        }
     grids = [dataclasses.asdict(n.grid) for n in state.neighbours]
     with replacing(path) as file:
         meta = {"format": FORMAT, "grids": grids, "origins": list(state.tally.virial)}
@@ -85,7 +104,9 @@ def load_state(path) -> State:
     try:
         return _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta)
     except KeyError as error:
-        raise ValueError(f"{path} lacks the array {error}; save the state again with dpd.save_state") from error
+        raise ValueError(
+            f"{path} lacks the array {error}; save the state again with dpd.save_state"
+        ) from error
 
 
 def _assembled(saved, meta) -> State:
@@ -93,18 +114,27 @@ def _assembled(saved, meta) -> State:
         **{name: saved[name] for name in ARRAYS},
         box=Box(saved["box_lengths"], saved["box_strain"]),
         neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(meta["grids"])),
-        tally=Tally(saved["tally_energy"], {origin: saved[f"tally_virial_{origin}"] for origin in meta["origins"]}),
+        tally=Tally(
+            saved["tally_energy"],
+            {origin: saved[f"tally_virial_{origin}"] for origin in meta["origins"]},
+        ),
         rotation=_rotation(saved, meta["turning_from"]),
     )
 
 
 def _rotation(saved, begin) -> Rotation | None:
-    return None if begin is None else Rotation(*(saved[f"rotation_{name}"] for name in TURNING), begin)
+    return (
+        None if begin is None else Rotation(*(saved[f"rotation_{name}"] for name in TURNING), begin)
+    )
 
 
 def _list(saved, k, fields):
     cells, groups = fields["cells"], tuple(tuple(group) for group in fields["groups"])
     grid = lists.Grid(**{**fields, "cells": tuple(cells) if cells else None, "groups": groups})
     return lists.restore(
-        grid, saved[f"list{k}_pairs"], saved[f"list{k}_reference"], saved[f"list{k}_code"], saved[f"list{k}_strain"]
+        grid,
+        saved[f"list{k}_pairs"],
+        saved[f"list{k}_reference"],
+        saved[f"list{k}_code"],
+        saved[f"list{k}_strain"],
     )

@@ -19,18 +19,27 @@ def _axes(ax):
 
 
 def plot_calibration(fit, ax=None):
-    """The measured points with their errors, their slopes, the fit and the target; returns the figure."""
+    """The measured points with their errors, their slopes, the fit and the target; returns the
+    figure."""
     ax = _axes(ax)
     xs = np.array([p.x for p in fit.history] + [math.log(fit.value)])
     low, high = xs.min() - 0.25, xs.max() + 0.25
     grid = np.linspace(low, high, 300)
     sigma = np.array([fit.curve.at(x).error for x in grid])
-    ax.fill_between(np.exp(grid), fit.curve(grid) - sigma, fit.curve(grid) + sigma, color="C0", alpha=0.2, lw=0)
+    ax.fill_between(
+        np.exp(grid), fit.curve(grid) - sigma, fit.curve(grid) + sigma, color="C0", alpha=0.2, lw=0
+    )
     ax.plot(np.exp(grid), fit.curve(grid), color="C0", label="fit of all values and slopes")
     for k, p in enumerate(fit.history):
         near = np.array([p.x - 0.12, p.x + 0.12])
         label = "slope, by forward differentiation" if k == 0 else None
-        ax.plot(np.exp(near), p.value.value + p.slope.value * (near - p.x), color="C1", lw=2.5, label=label)
+        ax.plot(
+            np.exp(near),
+            p.value.value + p.slope.value * (near - p.x),
+            color="C1",
+            lw=2.5,
+            label=label,
+        )
     values = [p.value for p in fit.history]
     ax.errorbar(
         np.exp([p.x for p in fit.history]), [v.value for v in values], [v.error for v in values],
@@ -56,7 +65,9 @@ def _plain_log_ticks(ax):
 
     low, high = ax.get_xlim()
     many = high / low > 10
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if many else (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9)))
+    ax.xaxis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0) if many else (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9))
+    )
     ax.xaxis.set_major_formatter(ScalarFormatter())
     ax.xaxis.set_minor_formatter(NullFormatter())
 
@@ -80,7 +91,8 @@ def plot_convergence(measured, ax=None):
 
 
 def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, fluid=None):
-    """A slice through the box: beads as discs of radius 0.5 shaded by depth, colloids as the discs they are cut in.
+    """A slice through the box: beads as discs of radius 0.5 shaded by depth, colloids as the discs
+    they are cut in.
 
     Returns the figure.
 
@@ -97,14 +109,29 @@ def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, flui
     radius = np.zeros(len(position)) if fluid is None else np.asarray(radii(fluid, state))
     inside = (position[:, axis] < thickness) & (radius == 0)
     shallow = np.flatnonzero(inside)[np.argsort(position[inside, axis])]
-    beads = _discs(ax, position[shallow][:, flat], 0.5, array=position[shallow, axis], cmap="Blues", edgecolor="0.3", alpha=0.9)
+    beads = _discs(
+        ax,
+        position[shallow][:, flat],
+        0.5,
+        array=position[shallow, axis],
+        cmap="Blues",
+        edgecolor="0.3",
+        alpha=0.9,
+    )
     depth = position[:, axis] - 0.5 * thickness
     depth -= sides[axis] * np.round(depth / sides[axis])
     cut = np.flatnonzero(np.abs(depth) < radius)
     around = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * sides[flat]
     for image in around if len(cut) else ():
         centres = position[cut][:, flat] + image
-        _discs(ax, centres, np.sqrt(radius[cut] ** 2 - depth[cut] ** 2), facecolor="C1", edgecolor="0.2", alpha=0.95)
+        _discs(
+            ax,
+            centres,
+            np.sqrt(radius[cut] ** 2 - depth[cut] ** 2),
+            facecolor="C1",
+            edgecolor="0.2",
+            alpha=0.95,
+        )
     ax.figure.colorbar(beads, ax=ax, label=f"{'xyz'[axis]} (r_c)")
     ax.set(
         xlim=(0, sides[flat[0]]), ylim=(0, sides[flat[1]]), aspect="equal",

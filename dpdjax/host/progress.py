@@ -11,7 +11,8 @@ from dpdjax.engine.simulate import Plan
 
 
 class Progress:
-    """Steps done of those planned, on standard error; what compiling takes is told, and no part of the rate or the time left."""
+    """Steps done of those planned, on standard error; what compiling takes is told, and no part of
+    the rate or the time left."""
 
     def __init__(self, plan: Plan, shown: bool):
         self.plan, self.frames, self._shown = plan, 0, shown

@@ -13,13 +13,22 @@ from dpdjax.engine.advice import cautions
 from dpdjax.engine.batching import batch_axes, named
 from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
 from dpdjax.engine.record import averaged, recorders
-from dpdjax.engine.simulate import Plan, Trajectory, check_finite, check_kinds, check_plan, check_run, list_trouble
+from dpdjax.engine.simulate import (
+    Plan,
+    Trajectory,
+    check_finite,
+    check_kinds,
+    check_plan,
+    check_run,
+    list_trouble,
+)
 from dpdjax.engine.state import State
 from dpdjax.host.heat import warn_if_hot
 from dpdjax.host.progress import Progress
 
 CHUNK, LEAST = 1_000_000, 50
-"""Particle-steps between two looks at the status: half a second; and steps, over which a large box is sorted once."""
+"""Particle-steps between two looks at the status: half a second; and steps, over which a large box
+is sorted once."""
 
 
 class RunError(RuntimeError):
@@ -31,7 +40,16 @@ class RunError(RuntimeError):
 
 
 def run(
-    fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5, progress: bool = True
+    fluid,
+    state: State,
+    key,
+    dt,
+    plan: Plan,
+    flow=None,
+    *,
+    observe=None,
+    lam=0.5,
+    progress: bool = True,
 ) -> Trajectory:
     """Run with everything a person at a keyboard expects; see ``simulate`` for the arguments.
 
@@ -40,26 +58,31 @@ def run(
     trajectory so far, with ``complete`` False. A progress bar goes to standard error.
 
     **Batches.** A vector of keys runs one member for each key. The state may be a batch
-    (from a vmapped ``initial_state`` or an earlier batch) or one state for all, and so may
-    every number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan.
-    An accelerator runs the members side by side, a CPU one after another: its caches hold one. A member that fails
-    is named in a warning and in ``failed`` of the trajectory, and the others go on as if it were not there;
-    ``trajectory.survivors`` is a batch without it.
+    (from a vmapped ``initial_state`` or an earlier batch) or one state for all, and so may every
+    number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan. An
+    accelerator runs the members side by side, a CPU one after another: its caches hold one. A
+    member that fails is named in a warning and in ``failed`` of the trajectory, and the others go
+    on as if it were not there; ``trajectory.survivors`` is a batch without it.
 
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
-        RunError: positions that became NaN, beads that ran away, in the run or in all members; its ``trajectory``
-            holds the frames before.
+        RunError: positions that became NaN, beads that ran away, in the run or in all members; its
+            ``trajectory`` holds the frames before.
     """
     with Progress(plan, progress) as line:
         return run_on(line, fluid, state, key, dt, plan, flow, observe=observe, lam=lam)
 
 
-def run_on(line: Progress, fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5) -> Trajectory:
+def run_on(
+    line: Progress, fluid, state: State, key, dt, plan: Plan, flow=None, *, observe=None, lam=0.5
+) -> Trajectory:
     """:func:`run` as a part of the run that a progress line is of."""
     key = prng_key(key)
     if key.ndim > 1:
-        raise ValueError(f"keys have shape {key.shape}; give a vector of them, keys.reshape(-1), and numbers alike, one for each")
+        raise ValueError(
+            f"keys have shape {key.shape}; give a vector of them, keys.reshape(-1), and numbers "
+            "alike, one for each"
+        )
     check_kinds(fluid, state)
     flow = flows.quiet() if flow is None else flow
     state = batched(state, key)
@@ -84,12 +107,16 @@ def run_on(line: Progress, fluid, state: State, key, dt, plan: Plan, flow=None, 
     try:
         while done < plan.frames:
             chunk = Plan(min(size, plan.frames - done), plan.every)
-            after, frames = replayed(fluid, state, key, dt, chunk, flow, observe, lam, shape, line.compiling)
+            after, frames = replayed(
+                fluid, state, key, dt, chunk, flow, observe, lam, shape, line.compiling
+            )
             lost = after.status
             if key.ndim:
                 after, frames = without_failed(state, after, frames)
             last = int(np.max(state.step))
-            failed = _failed(failed, lost, numbers[:3], f"stopped between steps {last} and {last + chunk.steps}")
+            failed = _failed(
+                failed, lost, numbers[:3], f"stopped between steps {last} and {last + chunk.steps}"
+            )
             if len(failed) == np.size(lost):
                 partial = _trajectory(state, pieces, numbers, plan, False, failed)
                 raise RunError("; ".join(dict.fromkeys(failed.values())), partial)
@@ -115,7 +142,9 @@ def _failed(before: dict, status, numbers, when: str) -> dict[int, str]:
     status = np.atleast_1d(np.asarray(status))
     fresh = [k for k in np.flatnonzero(status) if k not in before]
     whose = lambda k: f"{named(k, numbers)} of {len(status)} " if len(status) > 1 else ""
-    return before | {int(k): f"{whose(k)}{when}: {bits.describe(status[k], grown=True)}" for k in fresh}
+    return before | {
+        int(k): f"{whose(k)}{when}: {bits.describe(status[k], grown=True)}" for k in fresh
+    }
 
 
 def _check_members(fluid, dt, flow, key):
@@ -147,4 +176,6 @@ def _trajectory(state, pieces, numbers, plan, complete, failed):
     axis = 1 if state.position.ndim == 3 else 0
     frames = jax.tree.map(lambda *parts: np.concatenate(parts, axis), *pieces) if pieces else {}
     dt = jnp.asarray(dt, state.position.dtype)
-    return Trajectory(state, frames, fluid, flow, dt, plan.every, complete, means, tuple(failed.items()))
+    return Trajectory(
+        state, frames, fluid, flow, dt, plan.every, complete, means, tuple(failed.items())
+    )

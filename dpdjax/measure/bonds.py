@@ -1,4 +1,5 @@
-"""Bonds of spheres: contacts followed from frame to frame, with a band between forming and breaking."""
+"""Bonds of spheres: contacts followed from frame to frame, with a band between forming and
+breaking."""
 
 import dataclasses
 
@@ -10,7 +11,8 @@ from dpdjax.measure.statistics import Estimate
 from dpdjax.measure.structure import average, draw, pieces_of_member, standard_error
 
 SURVIVAL_PIECES = 4
-"""Independent pieces that the lags of the survival leave unless told otherwise, replicas counted."""
+"""Independent pieces that the lags of the survival leave unless told otherwise, replicas counted.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,10 +23,11 @@ class Bonds:
         time: of each frame, (frames,) [time].
         number: bonds in each frame, (batch, frames).
         formed, broken: since the frame before, 0 in the first, (batch, frames).
-        per_colloid: bonds that a sphere has, over spheres and frames; each bond counts for both of its ends.
+        per_colloid: bonds that a sphere has, over spheres and frames; each bond counts for both of
+            its ends.
         lag: times from 0, (lags,) [time].
-        survival: share of the bonds of a frame that were there without a break up to ``lag`` later, (lags,);
-            NaN where there was no bond.
+        survival: share of the bonds of a frame that were there without a break up to ``lag`` later,
+            (lags,); NaN where there was no bond.
         error: standard error of ``survival``, (lags,); NaN where there is a single piece.
     """
 
@@ -39,38 +42,56 @@ class Bonds:
 
     def plot(self, ax=None):
         """Draw the survival with its error band; returns the matplotlib axes."""
-        return draw(ax, self.lag, self.survival, self.error, "t [time]", "share of bonds that survive")
+        return draw(
+            ax, self.lag, self.survival, self.error, "t [time]", "share of bonds that survive"
+        )
 
 
-def bonds(what, *, gap: float | None = None, forms: float = 0.8, breaks: float = 1.0, t_max: float | None = None) -> Bonds:
+def bonds(
+    what,
+    *,
+    gap: float | None = None,
+    forms: float = 0.8,
+    breaks: float = 1.0,
+    t_max: float | None = None,
+) -> Bonds:
     """Bonds with hysteresis: one forms at ``h < forms gap`` and breaks at ``h > breaks gap``.
 
-    The band between keeps a pair that trembles at the limit from counting as many bonds. In the first frame the
-    pairs below ``forms gap`` are bonded. What happens between two frames goes unseen: record them closer than
-    bonds live.
+    The band between keeps a pair that trembles at the limit from counting as many bonds. In the
+    first frame the pairs below ``forms gap`` are bonded. What happens between two frames goes
+    unseen: record them closer than bonds live.
 
-    Survival looks at the bonds of every frame that the longest lag still finds an end for. Its error comes from
-    replicas, and stretches of time at least twice the longest lag.
+    Survival looks at the bonds of every frame that the longest lag still finds an end for. Its
+    error comes from replicas, and stretches of time at least twice the longest lag.
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
         gap: surface gap [length], as in :func:`contact_number`.
         forms, breaks: fractions of the gap, ``0 < forms <= breaks``.
-        t_max: longest lag of the survival [time]; by default as long as leaves 4 independent pieces.
+        t_max: longest lag of the survival [time]; by default as long as leaves 4 independent
+            pieces.
 
-    Raises ValueError for fractions out of order, a ``t_max`` outside the run, and as :func:`contact_number` does.
+    Raises ValueError for fractions out of order, a ``t_max`` outside the run, and as
+    :func:`contact_number` does.
     """
     what, keys = _followed(what, gap, forms, breaks)
     # Entry [member, a, b]: bonds that were there from frame a or before to frame b or after.
     lasting = np.stack([_lasting(member) for member in keys])
     number, kept = (np.einsum("baa->ba", counts) for counts in (lasting, lasting[:, :-1, 1:]))
-    formed, broken = (np.pad(there - kept, ((0, 0), (1, 0))) for there in (number[:, 1:], number[:, :-1]))
+    formed, broken = (
+        np.pad(there - kept, ((0, 0), (1, 0))) for there in (number[:, 1:], number[:, :-1])
+    )
     per_colloid = average(2 * number / what.n)
-    return Bonds(what.time, number, formed, broken, per_colloid, *_survival(what.time, lasting, t_max))
+    return Bonds(
+        what.time, number, formed, broken, per_colloid, *_survival(what.time, lasting, t_max)
+    )
 
 
-def bonded_pairs(what, *, gap: float | None = None, forms: float = 0.8, breaks: float = 1.0) -> list[list[np.ndarray]]:
-    """The bonds of :func:`bonds` as pairs of indices ``i < j``, (bonds, 2), by member and frame: ``pairs[member][frame]``.
+def bonded_pairs(
+    what, *, gap: float | None = None, forms: float = 0.8, breaks: float = 1.0
+) -> list[list[np.ndarray]]:
+    """The bonds of :func:`bonds` as pairs of indices ``i < j``, (bonds, 2), by member and frame:
+    ``pairs[member][frame]``.
 
     Arguments and errors as in :func:`bonds`.
     """
@@ -81,7 +102,10 @@ def bonded_pairs(what, *, gap: float | None = None, forms: float = 0.8, breaks: 
 def _followed(what, gap, forms, breaks):
     """The spheres, and the bonds as sorted numbers ``i n + j`` by member and frame."""
     if not 0 < forms <= breaks < np.inf:
-        raise ValueError(f"forms is {forms!r} and breaks {breaks!r}; they are fractions of the gap, 0 < forms <= breaks")
+        raise ValueError(
+            f"forms is {forms!r} and breaks {breaks!r}; they are fractions of the gap, 0 < forms "
+            "<= breaks"
+        )
     what, gap = spheres_and_gap(what, gap)
     spheres_and_gap(what, breaks * gap)
     members = []
@@ -96,7 +120,8 @@ def _followed(what, gap, forms, breaks):
 
 
 def _lasting(keys):
-    """Bonds that were there in all of the frames a to b: entry [a, b] for a <= b, (frames, frames)."""
+    """Bonds that were there in all of the frames a to b: entry [a, b] for a <= b, (frames,
+    frames)."""
     spans = np.zeros((len(keys), len(keys)), int)
     alive, born = np.array([], int), np.array([], int)
     for now, there in enumerate([*keys, np.array([], int)]):
@@ -110,7 +135,8 @@ def _lasting(keys):
 
 
 def _survival(time, lasting, t_max):
-    """Lags, the share that survives, and its error, (lags,) each, from counts (batch, frames, frames)."""
+    """Lags, the share that survives, and its error, (lags,) each, from counts (batch, frames,
+    frames)."""
     batch, frames = lasting.shape[:2]
     interval = _interval(time)
     longest = _longest_lag(frames, batch, interval, t_max)
@@ -128,7 +154,10 @@ def _interval(time) -> float:
     steps = np.diff(time) if len(time) > 1 else np.zeros(1)
     # Times in single precision are off by a part of a step late in a long run.
     if not np.allclose(steps, np.mean(steps), rtol=0.05, atol=0):
-        raise ValueError(f"frames are between {steps.min():.4g} and {steps.max():.4g} apart; lags need them evenly spaced")
+        raise ValueError(
+            f"frames are between {steps.min():.4g} and {steps.max():.4g} apart; lags need them "
+            "evenly spaced"
+        )
     return float(np.mean(steps))
 
 
@@ -138,5 +167,7 @@ def _longest_lag(frames, batch, interval, t_max) -> int:
         return min(frames - 1, max(1, frames // (2 * -(-SURVIVAL_PIECES // batch))))
     run = interval * (frames - 1)
     if not 0 < t_max <= run * (1 + 1e-4):
-        raise ValueError(f"t_max is {t_max:.6g}; it must be above zero and within the run, {run:.6g}")
+        raise ValueError(
+            f"t_max is {t_max:.6g}; it must be above zero and within the run, {run:.6g}"
+        )
     return int(t_max / interval + 1e-4)

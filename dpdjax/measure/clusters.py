@@ -21,7 +21,8 @@ class Clusters:
         largest: spheres in the largest cluster, (batch, frames).
         number: clusters, (batch, frames).
         mean_size: size of the cluster of a sphere, averaged over spheres, (batch, frames).
-        percolates: whether a cluster is joined to an image of itself along x, y, z, (batch, frames, 3) bool.
+        percolates: whether a cluster is joined to an image of itself along x, y, z, (batch, frames,
+            3) bool.
         percolation: share of the frames that percolate along x, y, z, (3,).
         error: standard error of ``percolation``, (3,); NaN where there is a single frame.
     """
@@ -35,23 +36,33 @@ class Clusters:
     error: np.ndarray
 
     def average(self, name: str) -> Estimate:
-        """Mean over frames of ``"largest"``, ``"number"`` or ``"mean_size"``; ValueError for another name."""
+        """Mean over frames of ``"largest"``, ``"number"`` or ``"mean_size"``; ValueError for
+        another name."""
         if name not in ("largest", "number", "mean_size"):
             raise ValueError(f"name is {name!r}; it is largest, number or mean_size")
         return average(getattr(self, name))
 
     def plot(self, ax=None):
-        """Draw the largest cluster against time, with the error over replicas; returns the matplotlib axes."""
-        return draw(ax, self.time, self.largest.mean(axis=0), standard_error(self.largest), "t [time]", "largest cluster")
+        """Draw the largest cluster against time, with the error over replicas; returns the
+        matplotlib axes."""
+        return draw(
+            ax,
+            self.time,
+            self.largest.mean(axis=0),
+            standard_error(self.largest),
+            "t [time]",
+            "largest cluster",
+        )
 
 
 def clusters(what, *, gap: float | None = None) -> Clusters:
     """Clusters of spheres joined by gaps below ``gap``, and whether they percolate.
 
-    A cluster percolates where a way along its contacts leads from a sphere to an image of the same sphere. Along
-    which directions is counted in vectors of the lattice, ``Lx e_x``, ``strain Ly e_x + Ly e_y`` and ``Lz e_z``,
-    the strain folded so that ``strain Ly`` is within half a side: in a tilted box a way up by Ly goes along x too
-    where it ends more than half a side off.
+    A cluster percolates where a way along its contacts leads from a sphere to an image of the same
+    sphere. Along which directions is counted in vectors of the lattice, ``Lx e_x``,
+    ``strain Ly e_x + Ly e_y`` and ``Lz e_z``, the strain folded so that ``strain Ly`` is within
+    half a side: in a tilted box a way up by Ly goes along x too where it ends more than half a side
+    off.
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
@@ -64,15 +75,20 @@ def clusters(what, *, gap: float | None = None) -> Clusters:
     largest, number = (values[..., k].astype(int) for k in (0, 1))
     percolates = values[..., 3:] > 0
     error = error_of(percolates)
-    return Clusters(what.time, largest, number, values[..., 2], percolates, percolates.mean((0, 1)), error)
+    return Clusters(
+        what.time, largest, number, values[..., 2], percolates, percolates.mean((0, 1)), error
+    )
 
 
 def _cluster_numbers(frame, gap):
-    """Largest cluster, number of clusters, mean size over spheres, percolation along x, y, z: (6,)."""
+    """Largest cluster, number of clusters, mean size over spheres, percolation along x, y, z:
+    (6,)."""
     n, pairs = len(frame.position), close_pairs(frame, gap)
     number, label = connected_components(_graph(n, pairs.first, pairs.second), directed=False)
     sizes = np.bincount(label)
-    return np.array([sizes.max(), number, np.sum(sizes**2) / n, *_winds(frame, pairs, label)], float)
+    return np.array(
+        [sizes.max(), number, np.sum(sizes**2) / n, *_winds(frame, pairs, label)], float
+    )
 
 
 def _graph(n: int, first, second):
@@ -80,21 +96,25 @@ def _graph(n: int, first, second):
 
 
 def _winds(frame, pairs, label):
-    """Whether some way along the pairs leads to an image of its start, along each lattice vector, (3,) bool."""
+    """Whether some way along the pairs leads to an image of its start, along each lattice vector,
+    (3,) bool."""
     x = frame.position.T
     step = lambda a, b: -nearest(frame, x[:, b] - x[:, a])[1]
     parent = _parents(pairs, label)
-    # The cell of each sphere once its cluster is laid out along a tree; each round doubles the stretch of the way
-    # to the root that is added up.
+    # The cell of each sphere once its cluster is laid out along a tree; each round doubles the
+    # stretch of the way to the root that is added up.
     cell = step(parent, np.arange(len(label)))
     for _ in range(len(label).bit_length()):
         cell, parent = cell + cell[:, parent], parent[parent]
     # Each pair closes a way through the tree; it winds unless it ends in the cell the tree says.
-    return np.any(cell[:, pairs.first] + step(pairs.first, pairs.second) != cell[:, pairs.second], axis=1)
+    return np.any(
+        cell[:, pairs.first] + step(pairs.first, pairs.second) != cell[:, pairs.second], axis=1
+    )
 
 
 def _parents(pairs, label):
-    """Of each sphere the one before it in a tree of its cluster, (n,); the root of a tree is its own."""
+    """Of each sphere the one before it in a tree of its cluster, (n,); the root of a tree is its
+    own."""
     n, heads = len(label), np.unique(label, return_index=True)[1]
     # One more node, joined to a sphere of each cluster, makes all trees one.
     first, second = np.append(pairs.first, heads), np.append(pairs.second, np.full(len(heads), n))

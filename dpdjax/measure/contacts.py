@@ -43,11 +43,12 @@ def contact_number(what, *, gap: float | None = None) -> ContactNumber:
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
-        gap: surface gap below which two spheres are in contact [length]; by default, for a run, the range of the
-            attraction between its spheres, ``r0 + 3/kappa`` of a Morse potential, where a tenth of its depth is left.
+        gap: surface gap below which two spheres are in contact [length]; by default, for a run, the
+            range of the attraction between its spheres, ``r0 + 3/kappa`` of a Morse potential,
+            where a tenth of its depth is left.
 
-    Raises ValueError for a gap that is missing, not above zero or too large for the box (``2 R + gap`` above half
-    the shortest side), and as :func:`spheres` does.
+    Raises ValueError for a gap that is missing, not above zero or too large for the box
+    (``2 R + gap`` above half the shortest side), and as :func:`spheres` does.
     """
     what, gap = spheres_and_gap(what, gap)
 
@@ -63,7 +64,8 @@ def contact_number(what, *, gap: float | None = None) -> ContactNumber:
 
 
 def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
-    """The spheres, and the gap or that of the fluid of a run; ValueError for one that will not do."""
+    """The spheres, and the gap or that of the fluid of a run; ValueError for one that will not
+    do."""
     found = as_spheres(what)
     gap = _gap_of_fluid(what) if gap is None else gap
     positive(gap, "gap")
@@ -71,8 +73,8 @@ def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
     reach, half = 2 * np.max(found.radius) + gap, 0.5 * np.min(found.lengths)
     if reach > half:
         raise ValueError(
-            f"gap is {gap:.6g}: the largest spheres would touch {reach:.6g} apart, above half the shortest side, {half:.6g}; "
-            "take a smaller gap or a larger box"
+            f"gap is {gap:.6g}: the largest spheres would touch {reach:.6g} apart, above half the "
+            f"shortest side, {half:.6g}; take a smaller gap or a larger box"
         )
     return found, gap
 

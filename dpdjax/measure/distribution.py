@@ -31,26 +31,32 @@ class PairDistribution:
         return draw(ax, self.h, self.g, self.error, "h [length]", "g(h)")
 
 
-def pair_distribution(what, *, bins: int = 100, h_max: float | None = None, h_min: float = -0.05) -> PairDistribution:
-    """The pair distribution by surface gap: how many pairs have gap h, over how many an ideal gas would have.
+def pair_distribution(
+    what, *, bins: int = 100, h_max: float | None = None, h_min: float = -0.05
+) -> PairDistribution:
+    """The pair distribution by surface gap: how many pairs have gap h, over how many an ideal gas
+    would have.
 
-    Every pair is compared with the exact volume of its own shell, ``R_i + R_j + h`` from the centre, so spheres
-    thrown at random have g = 1 whatever their radii. For equal radii it is g(r) at ``r = h + 2 R``. The error
-    comes from the scatter of blocks of frames (and of replicas).
+    Every pair is compared with the exact volume of its own shell, ``R_i + R_j + h`` from the
+    centre, so spheres thrown at random have g = 1 whatever their radii. For equal radii it is g(r)
+    at ``r = h + 2 R``. The error comes from the scatter of blocks of frames (and of replicas).
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
         bins: shells between ``h_min`` and ``h_max``.
-        h_max: largest gap [length]; by default, and at most, that of the largest spheres half the shortest side apart.
+        h_max: largest gap [length]; by default, and at most, that of the largest spheres half the
+            shortest side apart.
         h_min: smallest gap [length]; negative, to see overlaps.
 
-    Raises ValueError for a single sphere, ``h_max`` too large for the box, ``h_min`` that is not below ``h_max``
-    or at which the smallest spheres coincide, and as :func:`spheres` does.
+    Raises ValueError for a single sphere, ``h_max`` too large for the box, ``h_min`` that is not
+    below ``h_max`` or at which the smallest spheres coincide, and as :func:`spheres` does.
     """
     what = as_spheres(what)
     edges, everyone = _gap_edges(what, bins, h_min, h_max), np.arange(what.n)
     counts = by_frame(what, lambda frame: _count(frame, everyone, everyone, edges, frame.radius))
-    ideal = np.stack([_ideal_pairs(radius, edges) for radius in what.radius]) / np.prod(what.lengths)
+    ideal = np.stack([_ideal_pairs(radius, edges) for radius in what.radius]) / np.prod(
+        what.lengths
+    )
     g = counts / ideal[:, None, :]
     return PairDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), error_of(g))
 
@@ -58,16 +64,19 @@ def pair_distribution(what, *, bins: int = 100, h_max: float | None = None, h_mi
 def partial_distribution(
     trajectory, species_a: int, species_b: int, *, bins: int = 100, r_max: float | None = None
 ) -> RadialDistribution:
-    """The radial distribution function between two species, or within one, by the distance of the centres.
+    """The radial distribution function between two species, or within one, by the distance of the
+    centres.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions``; a sheared one with its ``strain`` too.
+        trajectory: a run recorded with ``observe=dpd.positions``; a sheared one with its ``strain``
+            too.
         species_a, species_b: indices of the species, the same one for the pairs within it.
         bins: shells between 0 and ``r_max``.
         r_max: largest distance [length], by default and at most half the shortest side.
 
-    Returns a :class:`RadialDistribution`. Raises ValueError for positions of some beads only, a species that is
-    not there or has a single bead, ``r_max`` above half the shortest side, and as :func:`spheres` does.
+    Returns a :class:`RadialDistribution`. Raises ValueError for positions of some beads only, a
+    species that is not there or has a single bead, ``r_max`` above half the shortest side, and as
+    :func:`spheres` does.
     """
     a, b = (chosen_beads(trajectory, species) for species in (species_a, species_b))
     same = species_a == species_b
@@ -87,17 +96,21 @@ def _gap_edges(what, bins, h_min, h_max):
     most, least = 0.5 * np.min(what.lengths) - 2 * np.max(what.radius), -2 * np.min(what.radius)
     h_max = most if h_max is None else h_max
     if not h_min >= least:
-        raise ValueError(f"h_min is {h_min:.6g}; it must be at least {least:.6g}, where the smallest spheres coincide")
+        raise ValueError(
+            f"h_min is {h_min:.6g}; it must be at least {least:.6g}, where the smallest spheres "
+            "coincide"
+        )
     if not h_min < h_max <= most + 1e-6 * np.min(what.lengths):
         raise ValueError(
-            f"h_max is {h_max:.6g}; it must be above h_min, {h_min:.6g}, and at most {most:.6g}, where the largest "
-            "spheres are half the shortest side apart"
+            f"h_max is {h_max:.6g}; it must be above h_min, {h_min:.6g}, and at most {most:.6g}, "
+            "where the largest spheres are half the shortest side apart"
         )
     return np.linspace(h_min, h_max, whole_bins(bins) + 1)
 
 
 def _count(frame, a, b, edges, radius):
-    """Pairs of beads ``a`` with beads ``b``, the same or others, in equal shells of the gap, (bins,)."""
+    """Pairs of beads ``a`` with beads ``b``, the same or others, in equal shells of the gap,
+    (bins,)."""
     bins, counts = len(edges) - 1, 0
     size = max(1, PAIRS_AT_ONCE // len(b))
     x, width = frame.position.T, (edges[-1] - edges[0]) / bins
@@ -108,12 +121,15 @@ def _count(frame, a, b, edges, radius):
         shell = (h - edges[0]) / width
         if a is b:
             shell[np.tri(*h.shape, dtype=bool)] = -1.0
-        counts = counts + np.bincount(shell[(shell >= 0) & (shell < bins)].astype(int), minlength=bins)
+        counts = counts + np.bincount(
+            shell[(shell >= 0) & (shell < bins)].astype(int), minlength=bins
+        )
     return counts
 
 
 def _ideal_pairs(radius, edges):
-    """Pairs of an ideal gas at one sphere set per unit volume in shells of the surface gap, (bins,)."""
+    """Pairs of an ideal gas at one sphere set per unit volume in shells of the surface gap,
+    (bins,)."""
     half = radius[:, None] + 0.5 * edges[None, :]
     first, second, third = (np.sum(half**k, axis=0) for k in (1, 2, 3))
     # The sum of (half_i + half_j)^3 over i < j.

@@ -1,4 +1,5 @@
-"""Driven spheres: diffusion from the velocity under a force, or the angular velocity under a torque."""
+"""Driven spheres: diffusion from the velocity under a force, or the angular velocity under a
+torque."""
 
 import dataclasses
 import math
@@ -24,7 +25,8 @@ class Driven:
 
     Attributes:
         diffusion: ``D = kT v / F`` [length^2/time], or ``D_r = kT omega / T`` [1/time].
-        velocity: along the force, where the whole has no momentum [length/time]; or the angular velocity about the torque.
+        velocity: along the force, where the whole has no momentum [length/time]; or the angular
+            velocity about the torque.
         friction: ``kT / D``, force over velocity or torque over angular velocity.
         turns: whether it is a torque.
     """
@@ -35,7 +37,8 @@ class Driven:
     turns: bool = False
 
     def reynolds(self, *, density, viscosity, radius) -> float:
-        """``density v radius / viscosity``, for an angular velocity with ``v = omega radius``: to stay below 0.1 or so."""
+        """``density v radius / viscosity``, for an angular velocity with ``v = omega radius``: to
+        stay below 0.1 or so."""
         speed = abs(self.velocity.value) * (radius if self.turns else 1.0)
         return float(density * speed * radius / viscosity)
 
@@ -45,21 +48,24 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
 
     Of one sphere; several, pushed together, drift with their collective mobility.
 
-    ``D = kT v / F`` where the whole has no momentum. With the reaction on all beads (Einstein 1905; the D of equilibrium
-    and of the theory of periodic boxes), F is the force given; where the others alone bear it, a part ``x`` of the mass being
-    that of the driven beads, the drive acts like a force ``F/(1 - x)`` with the reaction on all. Zhou & Schmid (2015) divide
-    by F and take the velocity relative to the solvent, ``v/(1 - x)``: theirs is ``D/(1 - x)^2``.
+    ``D = kT v / F`` where the whole has no momentum. With the reaction on all beads (Einstein 1905;
+    the D of equilibrium and of the theory of periodic boxes), F is the force given; where the
+    others alone bear it, a part ``x`` of the mass being that of the driven beads, the drive acts
+    like a force ``F/(1 - x)`` with the reaction on all. Zhou & Schmid (2015) divide by F and take
+    the velocity relative to the solvent, ``v/(1 - x)``: theirs is ``D/(1 - x)^2``.
 
-    The drift is that from frame to frame, so it is the mean over all steps. Over a time t the drift of n spheres in all is
-    uncertain by ``sqrt(2 D/(n t))`` at least: to halve an error run four times as long, or push twice as hard while the Reynolds
-    number stays small.
+    The drift is that from frame to frame, so it is the mean over all steps. Over a time t the drift
+    of n spheres in all is uncertain by ``sqrt(2 D/(n t))`` at least: to halve an error run four
+    times as long, or push twice as hard while the Reynolds number stays small.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions_of(species)``, or ``dpd.positions``; one or replicas.
+        trajectory: a run recorded with ``observe=dpd.positions_of(species)``, or ``dpd.positions``;
+            one or replicas.
         skip: share of the frames left out at the start.
         blocks: pieces for the error bar, each longer than the velocity lives.
 
-    Warns of an error bar well below that bound: the run is too short for its blocks to be independent.
+    Warns of an error bar well below that bound: the run is too short for its blocks to be
+    independent.
 
     Raises ValueError for a run without such a force, or a batch with several.
     """
@@ -77,18 +83,27 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
 
 
 def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
-    """Rotational diffusion coefficient of spheres from their angular velocity under ``flow=dpd.drive(torque=...)``.
+    """Rotational diffusion coefficient of spheres from their angular velocity under
+    ``flow=dpd.drive(torque=...)``.
 
-    ``D_r = kT omega / T``. Record with ``observe=dpd.rotations``, or its mean over all steps. Arguments, errors and the warning
-    as in :func:`driven_diffusion`; ValueError also where no friction turns the spheres, as with ``coupling="central"``.
+    ``D_r = kT omega / T``. Record with ``observe=dpd.rotations``, or its mean over all steps.
+    Arguments, errors and the warning as in :func:`driven_diffusion`; ValueError also where no
+    friction turns the spheres, as with ``coupling="central"``.
     """
     flow, torque, along = _driven(trajectory, "twist", "torque")
-    omega = recorded(trajectory, "angular_velocity", observe="dpd.rotations", averaged=True).astype(float) @ along
+    omega = (
+        recorded(trajectory, "angular_velocity", observe="dpd.rotations", averaged=True).astype(
+            float
+        )
+        @ along
+    )
     check_turned(trajectory.fluid, (flow.species,))
     turning = species_of(trajectory)[trajectory.final.rotation.slots] == flow.species
     omega = omega[:, int(skip * omega.shape[1]) :, turning]
     needs.warn_of_drift({"angular velocity": omega.mean(axis=2)})
-    return _result(trajectory, block_average(omega.mean(axis=2), blocks), torque, omega.size, turns=True)
+    return _result(
+        trajectory, block_average(omega.mean(axis=2), blocks), torque, omega.size, turns=True
+    )
 
 
 def driven_share(trajectory) -> float:
@@ -114,16 +129,21 @@ def _result(trajectory, velocity: Estimate, strength: float, readings: int, turn
     kT = float(np.ravel(trajectory.fluid.kT)[0])
     diffusion = velocity.scaled(kT / strength)
     _check_error(diffusion, kT / strength, readings * shared(trajectory.interval))
-    friction = Estimate(strength, 0.0, velocity.blocks).over(velocity) if velocity.value else Estimate(math.inf, math.inf)
+    friction = (
+        Estimate(strength, 0.0, velocity.blocks).over(velocity)
+        if velocity.value
+        else Estimate(math.inf, math.inf)
+    )
     return Driven(diffusion, velocity, friction, turns)
 
 
 def _check_error(diffusion: Estimate, mobility_unit: float, time: float):
-    """Warn of an error bar that fluctuation and dissipation rule out: displacement over a time t scatters by ``sqrt(2 D t)``."""
+    """Warn of an error bar that fluctuation and dissipation rule out: displacement over a time t
+    scatters by ``sqrt(2 D t)``."""
     least = mobility_unit * math.sqrt(2 * abs(diffusion.value) / time) if time else 0.0
     if diffusion.error < SUSPECT * least:
         warnings.warn(
-            f"the error bar of {diffusion} cannot be below {least:.2g} in a run of {time:.3g} time units in all: its blocks are "
-            "shorter than the velocity lives; run longer",
+            f"the error bar of {diffusion} cannot be below {least:.2g} in a run of {time:.3g} "
+            "time units in all: its blocks are shorter than the velocity lives; run longer",
             stacklevel=4,
         )

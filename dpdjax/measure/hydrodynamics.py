@@ -1,7 +1,8 @@
-"""Theory of a sphere in a viscous fluid, alone or in a periodic cube, with a slip length: what measurements are set beside.
+"""Theory of a sphere in a viscous fluid, alone or in a periodic cube, with a slip length: what
+measurements are set beside.
 
-A slip length ``b`` is the depth below the surface at which the velocity of the fluid, extrapolated, would be that of the
-sphere: 0 without slip, infinite for full slip.
+A slip length ``b`` is the depth below the surface at which the velocity of the fluid, extrapolated,
+would be that of the sphere: 0 without slip, infinite for full slip.
 """
 
 import math
@@ -22,8 +23,9 @@ EARLIEST = 1e-8
 def sphere_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
     """Diffusion coefficient of a sphere in a periodic cube [length^2/time].
 
-    ``kT/(6 pi viscosity) [(1 + 3 b/R)/((1 + 2 b/R) R) - 2.837297/L + 4 pi R^2/(3 L^3 (1 + 2 b/R))]``: Hasimoto (1959, eq. 4.5)
-    for ``b = 0``, to the third order in R/L. The next term without slip is ``-27.4 R^5/L^6``, 2 % of the first at R/L = 0.3.
+    ``kT/(6 pi viscosity) [(1 + 3 b/R)/((1 + 2 b/R) R) - 2.837297/L + 4 pi R^2/(3 L^3 (1 + 2
+    b/R))]``: Hasimoto (1959, eq. 4.5) for ``b = 0``, to the third order in R/L. The next term
+    without slip is ``-27.4 R^5/L^6``, 2 % of the first at R/L = 0.3.
 
     Args:
         kT, viscosity: of the fluid [energy], [energy time/volume].
@@ -33,18 +35,24 @@ def sphere_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
     """
     translation, quadrupole = _slip_factors(slip_length, radius)
     box = np.asarray(box, float)
-    inverse = translation / radius - LATTICE / box + 4 * math.pi / 3 * quadrupole * radius**2 / box**3
+    inverse = (
+        translation / radius - LATTICE / box + 4 * math.pi / 3 * quadrupole * radius**2 / box**3
+    )
     return kT / (6 * math.pi * viscosity) * inverse
 
 
 def sphere_rotational_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
     """Rotational diffusion coefficient of a sphere in a periodic cube [1/time].
 
-    ``kT (1 + 3 b/R)/(8 pi viscosity R^3) - kT/(6 viscosity L^3)``; infinite for full slip. Arguments as in
-    :func:`sphere_diffusion`.
+    ``kT (1 + 3 b/R)/(8 pi viscosity R^3) - kT/(6 viscosity L^3)``; infinite for full slip.
+    Arguments as in :func:`sphere_diffusion`.
     """
     box = np.asarray(box, float)
-    return kT / viscosity * ((1 + 3 * slip_length / radius) / (8 * math.pi * radius**3) - 1 / (6 * box**3))
+    return (
+        kT
+        / viscosity
+        * ((1 + 3 * slip_length / radius) / (8 * math.pi * radius**3) - 1 / (6 * box**3))
+    )
 
 
 def _slip_factors(slip_length, radius):
@@ -56,10 +64,12 @@ def _slip_factors(slip_length, radius):
 
 
 def velocity_tail(time, *, kT, viscosity, density, box=None):
-    """``<v(t) . v(0)>`` of any sphere that the fluid carries [length^2/time^2], (times,), at ``t`` well above ``R^2/nu``.
+    """``<v(t) . v(0)>`` of any sphere that the fluid carries [length^2/time^2], (times,), at ``t``
+    well above ``R^2/nu``.
 
-    ``kT/(4 density (pi nu t)^(3/2))`` with ``nu = viscosity/density`` (Alder & Wainwright 1970), its own diffusion left out; in a
-    periodic cube the sum ``2 kT/(density V) sum exp(-nu k^2 t)`` over all waves but the zeroth, which ends in an exponential.
+    ``kT/(4 density (pi nu t)^(3/2))`` with ``nu = viscosity/density`` (Alder & Wainwright 1970),
+    its own diffusion left out; in a periodic cube the sum ``2 kT/(density V) sum exp(-nu k^2 t)``
+    over all waves but the zeroth, which ends in an exponential.
 
     Args:
         time: [time], above zero: leave out the first lag of a correlation, ``time[1:]``.
@@ -73,10 +83,12 @@ def velocity_tail(time, *, kT, viscosity, density, box=None):
 
 
 def angular_velocity_tail(time, *, kT, viscosity, density, box=None):
-    """``<omega(t) . omega(0)>`` of any sphere that turns with the fluid [1/time^2], (times,), at ``t`` well above ``R^2/nu``.
+    """``<omega(t) . omega(0)>`` of any sphere that turns with the fluid [1/time^2], (times,), at
+    ``t`` well above ``R^2/nu``.
 
-    ``3 pi kT/(density (4 pi nu t)^(5/2))`` (Berne 1972): half the curl of the fluid's velocity fluctuations; in a periodic cube
-    ``kT/(2 density V) sum k^2 exp(-nu k^2 t)``. Arguments as in :func:`velocity_tail`.
+    ``3 pi kT/(density (4 pi nu t)^(5/2))`` (Berne 1972): half the curl of the fluid's velocity
+    fluctuations; in a periodic cube ``kT/(2 density V) sum k^2 exp(-nu k^2 t)``. Arguments as in
+    :func:`velocity_tail`.
     """
     nu_t = viscosity / density * np.asarray(positive(time, "time"), float)
     if box is None:
@@ -89,8 +101,12 @@ def _wave_sum(nu_t, box, power: int):
     unit = (2 * math.pi / box) ** 2
     decayed = unit * float(np.min(nu_t))
     if decayed < EARLIEST:
-        raise ValueError(f"the longest wave has decayed by {decayed:.2g} alone, and the box is not felt yet: leave out box=")
-    # The sum over three directions from that over one, in which far waves are dropped once they are nothing.
+        raise ValueError(
+            f"the longest wave has decayed by {decayed:.2g} alone, and the box is not felt yet: "
+            "leave out box="
+        )
+    # The sum over three directions from that over one, in which far waves are dropped once they are
+    # nothing.
     most = int(math.ceil(math.sqrt(40.0 / decayed))) + 1
     squares = unit * np.arange(-most, most + 1) ** 2
     decay = np.exp(-np.multiply.outer(nu_t, squares))
@@ -98,24 +114,33 @@ def _wave_sum(nu_t, box, power: int):
     return one**3 - 1.0 if power == 0 else 3.0 * weighted * one**2
 
 
-def hydrodynamic_radius(box: Sequence, diffusion: Sequence[Estimate], *, kT, viscosity, slip_length=0.0) -> Estimate:
-    """The radius with which :func:`sphere_diffusion` fits diffusion coefficients in cubes of several sides [length].
+def hydrodynamic_radius(
+    box: Sequence, diffusion: Sequence[Estimate], *, kT, viscosity, slip_length=0.0
+) -> Estimate:
+    """The radius with which :func:`sphere_diffusion` fits diffusion coefficients in cubes of
+    several sides [length].
 
-    Least squares over the errors of ``diffusion``, from which that of the radius follows; the viscosity is taken as it is. The
-    drag of a surface reaches into the fluid, so the radius is not that of the surface.
+    Least squares over the errors of ``diffusion``, from which that of the radius follows; the
+    viscosity is taken as it is. The drag of a surface reaches into the fluid, so the radius is not
+    that of the surface.
 
     Args:
         box: sides (m,) [length].
         diffusion: one estimate for each.
         kT, viscosity, slip_length: as in :func:`sphere_diffusion`.
 
-    Raises ValueError where numbers of sides and estimates differ, an error is missing, or no radius below half a side fits.
+    Raises ValueError where numbers of sides and estimates differ, an error is missing, or no radius
+    below half a side fits.
     """
     box = np.asarray(box, float)
     value, error = np.array([[e.value, e.error] for e in diffusion]).T
     if box.shape != value.shape or not np.all(error > 0):
-        raise ValueError(f"{box.size} sides and {value.size} estimates: give one with an error for each side")
-    theory = lambda R: sphere_diffusion(kT=kT, viscosity=viscosity, radius=R, box=box, slip_length=slip_length)
+        raise ValueError(
+            f"{box.size} sides and {value.size} estimates: give one with an error for each side"
+        )
+    theory = lambda R: sphere_diffusion(
+        kT=kT, viscosity=viscosity, radius=R, box=box, slip_length=slip_length
+    )
     slope = lambda R: (theory(R * (1 + 1e-5)) - theory(R * (1 - 1e-5))) / (2e-5 * R)
     gradient = lambda R: float(np.sum((theory(R) - value) * slope(R) / error**2))
     grid = np.linspace(1e-3, 0.45, 200) * box.min()
@@ -124,8 +149,9 @@ def hydrodynamic_radius(box: Sequence, diffusion: Sequence[Estimate], *, kT, vis
     if best in (0, len(grid) - 1):
         smallest, largest = (theory(R).round(6).tolist() for R in grid[[-1, 0]])
         raise ValueError(
-            f"diffusion coefficients {value.tolist()} are those of no radius between {grid[0]:.3g} and {grid[-1]:.3g} in boxes of "
-            f"{box.tolist()}: the formula spans {smallest} to {largest}; run longer, or check kT and viscosity"
+            f"diffusion coefficients {value.tolist()} are those of no radius between {grid[0]:.3g} "
+            f"and {grid[-1]:.3g} in boxes of {box.tolist()}: the formula spans {smallest} to "
+            f"{largest}; run longer, or check kT and viscosity"
         )
     radius = brentq(gradient, grid[best - 1], grid[best + 1])
     return Estimate(radius, float(np.sum((slope(radius) / error) ** 2)) ** -0.5, len(value))

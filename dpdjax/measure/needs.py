@@ -14,7 +14,8 @@ RARELY = 1e-3
 PIECES = 10
 """Stretches of a series whose means are looked at for a trend: longer than the series remembers."""
 HOT, WARM, OFF = 0.25, 0.05, 0.02
-"""Shares of kT by which the kinetic temperature may be off: at the end of a run, on average, and on average beyond doubt."""
+"""Shares of kT by which the kinetic temperature may be off: at the end of a run, on average, and on
+average beyond doubt."""
 SURELY = 4.0
 """Standard errors by which a temperature is off beyond doubt."""
 
@@ -22,21 +23,30 @@ SURELY = 4.0
 def finished(trajectory):
     """Raise unless this is a run, of known numbers, that recorded a frame.
 
-    Raises TypeError for what is no trajectory and for numbers that are being traced, ValueError for a run without frames, or
-    one that failed, of a batch with its members that did.
+    Raises TypeError for what is no trajectory and for numbers that are being traced, ValueError for
+    a run without frames, or one that failed, of a batch with its members that did.
     """
     if not hasattr(trajectory, "frames"):
-        raise TypeError(f"this measures a run, and was given a {type(trajectory).__name__}; give what dpd.run(...) returns")
+        raise TypeError(
+            f"this measures a run, and was given a {type(trajectory).__name__}; give what "
+            "dpd.run(...) returns"
+        )
     if not is_concrete(trajectory.frames):
         raise TypeError(
-            "measures work on numbers of the host and have no derivative: inside jit, vmap or grad take a mean of "
-            "trajectory.frames by jax.numpy, and measure outside"
+            "measures work on numbers of the host and have no derivative: inside jit, vmap or grad "
+            "take a mean of trajectory.frames by jax.numpy, and measure outside"
         )
     if not trajectory.frames:
-        raise ValueError("the run recorded no frame: it was interrupted before the first; run it again")
+        raise ValueError(
+            "the run recorded no frame: it was interrupted before the first; run it again"
+        )
     failed = getattr(trajectory, "failed", ())
     if failed:
-        cure = "measure the others, trajectory.survivors" if trajectory.is_batch else "measure the survivors of the batch it was in"
+        cure = (
+            "measure the others, trajectory.survivors"
+            if trajectory.is_batch
+            else "measure the survivors of the batch it was in"
+        )
         raise ValueError(f"the run failed: {'; '.join(why for _, why in failed)}; {cure}")
 
 
@@ -44,11 +54,15 @@ def finite(frames: dict):
     """Raise ValueError, naming it, where something recorded is not finite."""
     for name, values in frames.items():
         if not np.all(np.isfinite(values)):
-            raise ValueError(f"{name!r} holds NaN or infinity: the run failed, see trajectory.failed and trajectory.survivors")
+            raise ValueError(
+                f"{name!r} holds NaN or infinity: the run failed, see trajectory.failed and "
+                "trajectory.survivors"
+            )
 
 
 def warn_of_heat(trajectory, frames: dict):
-    """Warns where the kinetic temperature that was recorded, or that of recorded velocities, is not that of the fluid."""
+    """Warns where the kinetic temperature that was recorded, or that of recorded velocities, is not
+    that of the fluid."""
     if "temperature" in frames:
         series = frames["temperature"]
     elif "velocity" in frames and "velocity" not in getattr(trajectory, "means", ()):
@@ -59,14 +73,16 @@ def warn_of_heat(trajectory, frames: dict):
     measured = is_off(series, kT)
     if measured is not None:
         warnings.warn(
-            f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of that temperature: "
-            "use a smaller shear rate or dt, or leave out more of the start, skip=...",
+            f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of "
+            "that temperature: use a smaller shear rate or dt, or leave out more of the start, "
+            "skip=...",
             stacklevel=3,
         )
 
 
 def is_off(temperatures, kT: float):
-    """The mean of temperatures (frames,) or (replicas, frames) where it is far from kT, or not kT beyond doubt; else None."""
+    """The mean of temperatures (frames,) or (replicas, frames) where it is far from kT, or not kT
+    beyond doubt; else None."""
     series = np.atleast_2d(np.asarray(temperatures, float))
     if kT <= 0 or series.size < 4 or not np.all(np.isfinite(series)):
         return None
@@ -76,7 +92,8 @@ def is_off(temperatures, kT: float):
 
 
 def _temperature_of(trajectory, velocity):
-    """Of each frame, (..., frames), from velocities (..., frames, n, 3) of all beads; NaN of some of them alone.
+    """Of each frame, (..., frames), from velocities (..., frames, n, 3) of all beads; NaN of some
+    of them alone.
 
     Three momenta are fixed.
     """
@@ -110,24 +127,38 @@ def unsheared(trajectory, what: str, cure: str):
 def equilibrium(trajectory, measure: str):
     """Raise ValueError unless nothing drove the run."""
     if is_sheared(trajectory):
-        raise ValueError(f"{measure} is of a fluid in equilibrium, and this run was sheared; run it without a flow")
+        raise ValueError(
+            f"{measure} is of a fluid in equilibrium, and this run was sheared; run it without a "
+            "flow"
+        )
     if is_pushed(trajectory):
-        raise ValueError(f"{measure} is of a fluid in equilibrium, and a force drove this run; run it without a flow")
+        raise ValueError(
+            f"{measure} is of a fluid in equilibrium, and a force drove this run; run it without a "
+            "flow"
+        )
 
 
 def warn_unsettled(frames: dict):
     """Warns where a temperature, an energy or the wave of a flow, where recorded, still drifts."""
-    warn_of_drift({name: frames[name] for name in ("temperature", "potential_energy", "wave_velocity") if name in frames})
+    warn_of_drift(
+        {
+            name: frames[name]
+            for name in ("temperature", "potential_energy", "wave_velocity")
+            if name in frames
+        }
+    )
 
 
 def warn_of_drift(series: dict):
-    """Warns where any of these series, (frames,) or (replicas, frames) each, rises or falls throughout (Kendall's test)."""
+    """Warns where any of these series, (frames,) or (replicas, frames) each, rises or falls
+    throughout (Kendall's test)."""
     for name, values in series.items():
         mean = np.atleast_2d(np.asarray(values, float)).mean(axis=0)
         pieces = np.array([part.mean() for part in np.array_split(mean, min(PIECES, len(mean)))])
         if np.ptp(pieces) > 0 and kendalltau(np.arange(len(pieces)), pieces).pvalue < RARELY:
             warnings.warn(
-                f"the run is not stationary: its {name} goes from {pieces[0]:.4g} to {pieces[-1]:.4g} over the frames used; "
-                "leave out more at the start, skip=..., or run longer",
+                f"the run is not stationary: its {name} goes from {pieces[0]:.4g} to "
+                f"{pieces[-1]:.4g} over the frames used; leave out more at the start, skip=..., "
+                "or run longer",
                 stacklevel=3,
             )

@@ -6,7 +6,8 @@ from dpdjax.engine.batching import differing
 
 
 def refuse_scan(trajectory):
-    """Raise ValueError, naming them, where members of a batch differ in numbers of the fluid or the flow, or in the time step."""
+    """Raise ValueError, naming them, where members of a batch differ in numbers of the fluid or the
+    flow, or in the time step."""
     names = differing(trajectory.fluid, trajectory.interval, trajectory.flow)
     if names:
         raise ValueError(
@@ -19,5 +20,7 @@ def shared(numbers) -> float:
     """A number that all members of a batch have in common; ValueError where they differ."""
     values = np.unique(np.asarray(numbers, float))
     if values.size > 1:
-        raise ValueError(f"the members of this batch differ, {values}; measure them one by one: run.members()")
+        raise ValueError(
+            f"the members of this batch differ, {values}; measure them one by one: run.members()"
+        )
     return float(values[0])

@@ -44,14 +44,17 @@ class RotationalCorrelation:
         return draw(ax, self.time, self.value, self.error, "t [time]", self.name)
 
 
-def angular_velocity_autocorrelation(trajectory, *, t_max: float | None = None) -> RotationalCorrelation:
+def angular_velocity_autocorrelation(
+    trajectory, *, t_max: float | None = None
+) -> RotationalCorrelation:
     """``<omega(t) . omega(0)>`` of all spheres that rotate; ``3 kT / I`` at t = 0.
 
     Args:
         trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
 
-    Raises ValueError for a sheared or failed run, one without rotations, a ``t_max`` outside the run.
+    Raises ValueError for a sheared or failed run, one without rotations, a ``t_max`` outside the
+    run.
     """
     values = _unsheared(trajectory, "angular_velocity")
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
@@ -66,34 +69,44 @@ def orientation_correlation(trajectory, *, t_max: float | None = None) -> Rotati
     """
     values = axis_of(_orientations(trajectory))
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
-    return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), "orientation autocorrelation")
+    return RotationalCorrelation(
+        time, curves.mean(axis=0), standard_error(curves), "orientation autocorrelation"
+    )
 
 
-def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None) -> Estimate:
+def rotational_diffusion(
+    trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None
+) -> Estimate:
     """The rotational diffusion coefficient ``D_r`` [1/time] of the spheres of a run.
 
-    Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean square of the angle turned by
-    (Einstein), added up from the turns between frames, each of which is to stay well below pi; or a third of the integral of
-    the angular velocity autocorrelation up to t, averaged over t (Green-Kubo), which needs frames much closer than the
-    angular velocity lives.
+    Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean square of
+    the angle turned by (Einstein), added up from the turns between frames, each of which is to stay
+    well below pi; or a third of the integral of the angular velocity autocorrelation up to t,
+    averaged over t (Green-Kubo), which needs frames much closer than the angular velocity lives.
 
     Args:
         trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
         method: ``"msd"`` or ``"vacf"``.
-        fit: first and last lag [time], after the spin is forgotten; by default the later half of the lags that leave 12
-            independent pieces.
+        fit: first and last lag [time], after the spin is forgotten; by default the later half of
+            the lags that leave 12 independent pieces.
 
-    Raises ValueError as :func:`dpdjax.diffusion` does, for frames so far apart that turns are lost count of, and spheres
-    that no friction turns, as with ``coupling="central"``.
+    Raises ValueError as :func:`dpdjax.diffusion` does, for frames so far apart that turns are lost
+    count of, and spheres that no friction turns, as with ``coupling="central"``.
     """
     if method not in ("msd", "vacf"):
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
     needs.finished(trajectory)
     check_turned(trajectory.fluid, trajectory.fluid.rotating)
     if method == "vacf":
-        values, how = _unsheared(trajectory, "angular_velocity"), (transport.autocorrelation, transport.green_kubo_integral)
+        values, how = (
+            _unsheared(trajectory, "angular_velocity"),
+            (transport.autocorrelation, transport.green_kubo_integral),
+        )
     else:
-        values, how = angle_turned(_orientations(trajectory)), (transport.squared_displacement, transport.einstein)
+        values, how = (
+            angle_turned(_orientations(trajectory)),
+            (transport.squared_displacement, transport.einstein),
+        )
     # The tail of the spin, of the power 5/2, leaves too little out to be looked after.
     memory = Memory(_inertia(trajectory), shared(trajectory.fluid.kT))
     return read_diffusion(trajectory, values, values.shape, *how, fit, memory)
@@ -102,16 +115,22 @@ def rotational_diffusion(trajectory, *, method: str = "msd", fit: tuple[float, f
 def _inertia(trajectory) -> float:
     """Mean moment of inertia of the beads that rotate."""
     final = trajectory.final
-    of_all = jax.vmap(inertias, (trajectory.fluid.batch_axes(), 0)) if np.ndim(final.species) == 2 else inertias
+    of_all = (
+        jax.vmap(inertias, (trajectory.fluid.batch_axes(), 0))
+        if np.ndim(final.species) == 2
+        else inertias
+    )
     return float(np.mean(of_all(trajectory.fluid, final)))
 
 
 def check_turned(fluid, species):
-    """ValueError where nothing but the start decides how fast the beads of one of these species rotate."""
+    """ValueError where nothing but the start decides how fast the beads of one of these species
+    rotate."""
     for k in species:
         if not fluid.turns(k):
             raise ValueError(
-                f"no friction turns the beads of species {k}: all of theirs act along the line of centres, and they spin as they "
+                f"no friction turns the beads of species {k}: all of theirs act along the line of "
+                "centres, and they spin as they "
                 'started; give one projector="full" or "transverse" (for marbles the coupling)'
             )
 
@@ -121,21 +140,27 @@ def _orientations(trajectory):
 
 
 def _unsheared(trajectory, name: str, components: int = 3):
-    """What was recorded of the beads that rotate; ValueError where a shear turns them, warns where a force or a torque may."""
+    """What was recorded of the beads that rotate; ValueError where a shear turns them, warns where
+    a force or a torque may."""
     values = recorded(trajectory, name, observe=RECORD, components=components)
-    needs.unsheared(trajectory, "how spheres would turn without the flow", "measure rotation in a run without a flow")
+    needs.unsheared(
+        trajectory,
+        "how spheres would turn without the flow",
+        "measure rotation in a run without a flow",
+    )
     needs.warn_unsettled(trajectory.frames)
     if needs.is_pushed(trajectory):
         warnings.warn(
-            "a force or a torque drove this run, and how it turned spheres is not taken off; measure in a run without it, or "
-            "by dpd.driven_rotation",
+            "a force or a torque drove this run, and how it turned spheres is not taken off; "
+            "measure in a run without it, or by dpd.driven_rotation",
             stacklevel=4,
         )
     return values
 
 
 def angle_turned(orientation) -> np.ndarray:
-    """The turns between frames, as vectors, added up: (..., frames, m, 3) from quaternions (..., frames, m, 4)."""
+    """The turns between frames, as vectors, added up: (..., frames, m, 3) from quaternions (...,
+    frames, m, 4)."""
     q = np.asarray(orientation, float)
     before, after = q[..., :-1, :, :], q[..., 1:, :, :]
     w = np.sum(before * after, axis=-1)
@@ -146,7 +171,10 @@ def angle_turned(orientation) -> np.ndarray:
     sine = np.linalg.norm(v, axis=-1)
     half = np.arctan2(sine, w)
     if np.max(half, initial=0.0) > 0.4 * np.pi:
-        raise ValueError("between two frames a sphere turned by most of half a turn; record frames closer together")
+        raise ValueError(
+            "between two frames a sphere turned by most of half a turn; record frames closer "
+            "together"
+        )
     turns = 2.0 * v * (half / np.where(sine > 0, sine, 1.0))[..., None]
     start = np.zeros_like(q[..., :1, :, :3])
     return np.concatenate([start, np.cumsum(turns, axis=-3)], axis=-3)

@@ -17,7 +17,8 @@ class StructureFactor:
         q: mean length of the wave vectors in each shell, (shells,) [1 / length].
         s: mean of S over them, (shells,).
         error: standard error of ``s``, (shells,); NaN where there is a single frame.
-        vectors: wave vectors in each shell, both of each opposite two counted, (shells,); the mean over frames.
+        vectors: wave vectors in each shell, both of each opposite two counted, (shells,); the mean
+            over frames.
     """
 
     q: np.ndarray
@@ -33,13 +34,15 @@ class StructureFactor:
 def structure_factor(what, *, q_max: float | None = None, bins: int = 60) -> StructureFactor:
     """The structure factor ``S(q) = |sum exp(-i q . r)|^2 / n``, at the wave vectors of the box.
 
-    Those are ``2 pi m / L``, and in a tilted box ``2 pi (m_x / L_x, m_y / L_y - strain m_x / L_x, m_z / L_z)``, which change
-    from frame to frame. All spheres count alike, whatever their radii. Averages run over the wave vectors of a shell, so over
-    all directions, and over frames; shells without any are left out.
+    Those are ``2 pi m / L``, and in a tilted box ``2 pi (m_x / L_x, m_y / L_y - strain m_x / L_x,
+    m_z / L_z)``, which change from frame to frame. All spheres count alike, whatever their radii.
+    Averages run over the wave vectors of a shell, so over all directions, and over frames; shells
+    without any are left out.
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
-        q_max: largest wave vector [1 / length], by default 2 pi over the mean radius. The work grows as its cube.
+        q_max: largest wave vector [1 / length], by default 2 pi over the mean radius. The work
+            grows as its cube.
         bins: shells of equal width between 0 and ``q_max``.
 
     Raises ValueError for ``q_max`` below the smallest wave vector, and as :func:`spheres` does.
@@ -48,11 +51,15 @@ def structure_factor(what, *, q_max: float | None = None, bins: int = 60) -> Str
     q_max = 2 * np.pi / np.mean(what.radius) if q_max is None else float(q_max)
     lowest = 2 * np.pi / np.max(what.lengths)
     if not q_max >= lowest * (1 - 1e-9):
-        raise ValueError(f"q_max is {q_max:.6g}; it must reach the smallest wave vector of the box, {lowest:.6g}")
+        raise ValueError(
+            f"q_max is {q_max:.6g}; it must reach the smallest wave vector of the box, {lowest:.6g}"
+        )
     # Vectors of one length stay together where it falls on an edge of a shell.
     q_max = q_max * (1 + 1e-9)
     indices = _indices(what, q_max)
-    waves = functools.lru_cache(1)(lambda shift: _wave_vectors(what.lengths, shift, indices, q_max, bins))
+    waves = functools.lru_cache(1)(
+        lambda shift: _wave_vectors(what.lengths, shift, indices, q_max, bins)
+    )
 
     def sums_of_shells(frame):
         q, shell = waves(frame.shift)
@@ -69,7 +76,8 @@ def structure_factor(what, *, q_max: float | None = None, bins: int = 60) -> Str
 
 
 def _indices(what, q_max):
-    """Indices along x, y, z of all wave vectors up to ``q_max``, whatever the tilt; x is not negative, one of each opposite two."""
+    """Indices along x, y, z of all wave vectors up to ``q_max``, whatever the tilt; x is not
+    negative, one of each opposite two."""
     x, y, z = (q_max * what.lengths / (2 * np.pi)).astype(int)
     tilt = np.max(np.abs(shift_of(what.strain, what.lengths))) / what.lengths[0]
     y += int(np.ceil(x * tilt))

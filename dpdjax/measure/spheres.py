@@ -1,6 +1,8 @@
-"""Spheres of a suspension, as its measures take them: read from a run, frame by frame, and pair by pair.
+"""Spheres of a suspension, as its measures take them: read from a run, frame by frame, and pair by
+pair.
 
-The surface gap of two spheres is ``h = r - R_i - R_j``. Every box may be tilted, each frame by its own strain.
+The surface gap of two spheres is ``h = r - R_i - R_j``. Every box may be tilted, each frame by its
+own strain.
 """
 
 import dataclasses
@@ -21,7 +23,8 @@ IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
 
 @dataclasses.dataclass(frozen=True)
 class Spheres:
-    """Frames of a suspension, from a run by :func:`spheres` or from arrays that broadcast to these shapes.
+    """Frames of a suspension, from a run by :func:`spheres` or from arrays that broadcast to these
+    shapes.
 
     Attributes:
         position: (batch, frames, n, 3), wrapped or not [length].
@@ -30,7 +33,8 @@ class Spheres:
         strain: tilt of the box in each frame, (batch, frames), by default none.
         time: of each frame, (frames,), by default their number [time].
 
-    Raises ValueError for shapes that do not fit, numbers that are not finite, radii or sides not above zero.
+    Raises ValueError for shapes that do not fit, numbers that are not finite, radii or sides not
+    above zero.
     """
 
     position: np.ndarray
@@ -44,8 +48,16 @@ class Spheres:
         batch, frames, n = position.shape[:3]
         positive(self.radius, "radius")
         positive(self.lengths, "lengths")
-        fields = {"position": position, "time": np.arange(frames) if self.time is None else self.time}
-        shapes = {"radius": (batch, n), "lengths": (3,), "strain": (batch, frames), "time": (frames,)}
+        fields = {
+            "position": position,
+            "time": np.arange(frames) if self.time is None else self.time,
+        }
+        shapes = {
+            "radius": (batch, n),
+            "lengths": (3,),
+            "strain": (batch, frames),
+            "time": (frames,),
+        }
         for name, shape in shapes.items():
             fields[name] = _fitted(fields.get(name, getattr(self, name)), shape, name)
         for name, value in fields.items():
@@ -63,21 +75,26 @@ def _fitted(values, shape, name: str) -> np.ndarray:
     try:
         return np.broadcast_to(values, shape)
     except ValueError:
-        raise ValueError(f"{name} has shape {values.shape}; {shape} is wanted, as the positions have it") from None
+        raise ValueError(
+            f"{name} has shape {values.shape}; {shape} is wanted, as the positions have it"
+        ) from None
 
 
 def spheres(trajectory, *, species: int | None = None) -> Spheres:
-    """The spheres of one species of a run, with the radius ``fluid.radius[species]`` times each bead's size.
+    """The spheres of one species of a run, with the radius ``fluid.radius[species]`` times each
+    bead's size.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions_of(species)`` or ``dpd.positions``, sheared or not.
+        trajectory: a run recorded with ``observe=dpd.positions_of(species)`` or ``dpd.positions``,
+            sheared or not.
         species: index of the species, by default the one that has a radius.
 
     Raises:
         TypeError: what is no run.
-        ValueError: no recorded positions, or means of them, or of other beads; a sheared run without ``strain``; no species
-            with a radius, or several and none named, or a named one that is not there or has none; a scan over numbers; members
-            of a batch in different boxes or at different times.
+        ValueError: no recorded positions, or means of them, or of other beads; a sheared run
+            without ``strain``; no species with a radius, or several and none named, or a named one
+            that is not there or has none; a scan over numbers; members of a batch in different
+            boxes or at different times.
     """
     needs.finished(trajectory)
     species = _of_radius(trajectory.fluid, species)
@@ -88,28 +105,49 @@ def spheres(trajectory, *, species: int | None = None) -> Spheres:
 
 
 def _of_radius(fluid, species: int | None) -> int:
-    """The species of spheres that is meant; ValueError where it has no radius or none is named among several."""
+    """The species of spheres that is meant; ValueError where it has no radius or none is named
+    among several."""
     round_ones = [k for k, radius in enumerate(fluid.radius) if radius is not None]
     if not round_ones:
-        raise ValueError("this fluid has no spheres, for no species has a radius; give one, dpd.fluid(..., radius=[None, R])")
+        raise ValueError(
+            "this fluid has no spheres, for no species has a radius; give one, dpd.fluid(..., "
+            "radius=[None, R])"
+        )
     if species is None and len(round_ones) > 1:
-        raise ValueError(f"species {', '.join(map(str, round_ones))} are spheres; name one: dpd.spheres(trajectory, species=...)")
+        raise ValueError(
+            f"species {', '.join(map(str, round_ones))} are spheres; name one: "
+            "dpd.spheres(trajectory, species=...)"
+        )
     if species is not None and species not in round_ones:
         told = ", ".join(map(str, round_ones))
-        raise ValueError(f"species {species} has no radius, its beads are points; spheres are of species {told}")
+        raise ValueError(
+            f"species {species} has no radius, its beads are points; spheres are of species {told}"
+        )
     return round_ones[0] if species is None else species
 
 
 def spheres_of(fluid, state, *, species: int | None = None) -> Spheres:
-    """The spheres of one species of a single state; ``species`` and ValueError as in :func:`spheres`, or for a batch."""
+    """The spheres of one species of a single state; ``species`` and ValueError as in
+    :func:`spheres`, or for a batch."""
     if np.ndim(state.position) != 2:
-        raise ValueError("the state is a batch; give one member: jax.tree.map(lambda leaf: leaf[0], state)")
+        raise ValueError(
+            "the state is a batch; give one member: jax.tree.map(lambda leaf: leaf[0], state)"
+        )
     species = _of_radius(fluid, species)
     beads = np.asarray(state.species) == species
     if not np.any(beads):
-        raise ValueError(f"no bead is of species {species}; the state has species {np.unique(state.species).tolist()}")
+        raise ValueError(
+            f"no bead is of species {species}; the state has species "
+            f"{np.unique(state.species).tolist()}"
+        )
     radius = np.asarray(radii(fluid, state))[beads]
-    return Spheres(np.asarray(state.position)[beads], radius, state.box.lengths, state.box.strain, np.reshape(state.time, 1))
+    return Spheres(
+        np.asarray(state.position)[beads],
+        radius,
+        state.box.lengths,
+        state.box.strain,
+        np.reshape(state.time, 1),
+    )
 
 
 def of_run(trajectory, beads, radius) -> Spheres:
@@ -122,7 +160,10 @@ def of_run(trajectory, beads, radius) -> Spheres:
 
 def as_spheres(what) -> Spheres:
     if not isinstance(what, Spheres) and not hasattr(what, "frames"):
-        raise TypeError(f"this measures a run or spheres, not a {type(what).__name__}; of one state, dpd.spheres_of(fluid, state)")
+        raise TypeError(
+            f"this measures a run or spheres, not a {type(what).__name__}; of one state, "
+            "dpd.spheres_of(fluid, state)"
+        )
     return what if isinstance(what, Spheres) else spheres(what)
 
 
@@ -130,12 +171,15 @@ def _common(values, what: str):
     """The values of the first member; ValueError unless all members have the same."""
     members = np.atleast_2d(np.asarray(values, float))
     if not np.allclose(members, members[:1], rtol=1e-6, atol=0):
-        raise ValueError(f"members of the batch are {what}; measure them one by one: trajectory.members()")
+        raise ValueError(
+            f"members of the batch are {what}; measure them one by one: trajectory.members()"
+        )
     return members[0]
 
 
 class Frame(NamedTuple):
-    """One configuration: positions (n, 3) in the box, radii (n,), sides (3,), shift of the upper y-image along x."""
+    """One configuration: positions (n, 3) in the box, radii (n,), sides (3,), shift of the upper
+    y-image along x."""
 
     position: np.ndarray
     radius: np.ndarray
@@ -173,11 +217,14 @@ def frame_of(position, radius, lengths, shift) -> Frame:
 
 def by_frame(what: Spheres, measure) -> np.ndarray:
     """``measure(frame)`` of every frame, (batch, frames, ...)."""
-    return np.array([[measure(frame) for frame in frames_of(what, k)] for k in range(len(what.position))])
+    return np.array(
+        [[measure(frame) for frame in frames_of(what, k)] for k in range(len(what.position))]
+    )
 
 
 def nearest(frame: Frame, d):
-    """Separations (3, ...) to the nearest images, and by how many lattice vectors they were longer, (3, ...).
+    """Separations (3, ...) to the nearest images, and by how many lattice vectors they were longer,
+    (3, ...).
 
     Changes ``d``; right for separations below half the shortest side.
     """
@@ -190,7 +237,8 @@ def nearest(frame: Frame, d):
 
 
 def with_images(frame: Frame, reach) -> tuple[np.ndarray, np.ndarray]:
-    """The beads, and their images within ``reach`` of the box: positions (m, 3), and whose they are (m,)."""
+    """The beads, and their images within ``reach`` of the box: positions (m, 3), and whose they are
+    (m,)."""
     lattice = np.diag(frame.lengths)
     lattice[1, 0] = frame.shift
     points = frame.position[None] + (IMAGES @ lattice)[:, None]
@@ -199,7 +247,8 @@ def with_images(frame: Frame, reach) -> tuple[np.ndarray, np.ndarray]:
 
 
 def close_pairs(frame: Frame, gap) -> Pairs:
-    """Pairs with a surface gap below ``gap``; the largest spheres must then be within half the shortest side."""
+    """Pairs with a surface gap below ``gap``; the largest spheres must then be within half the
+    shortest side."""
     n, reach = len(frame.position), 2 * np.max(frame.radius) + gap
     points, owner = with_images(frame, reach)
     first, copy = cKDTree(points).query_pairs(reach, output_type="ndarray").T
@@ -207,5 +256,9 @@ def close_pairs(frame: Frame, gap) -> Pairs:
     once = (first < n) & (first < owner[copy])
     first, copy = first[once], copy[once]
     second = owner[copy]
-    h = np.linalg.norm(points[copy] - points[first], axis=1) - frame.radius[first] - frame.radius[second]
+    h = (
+        np.linalg.norm(points[copy] - points[first], axis=1)
+        - frame.radius[first]
+        - frame.radius[second]
+    )
     return Pairs(*(values[h < gap] for values in (first, second, h)))

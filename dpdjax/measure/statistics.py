@@ -37,11 +37,16 @@ class Estimate:
     def over(self, other: "Estimate") -> "Estimate":
         """The quotient of two independent estimates, as of a viscosity and that of the solvent."""
         value = self.value / other.value
-        return Estimate(value, math.hypot(self.error, value * other.error) / abs(other.value), self.blocks)
+        return Estimate(
+            value, math.hypot(self.error, value * other.error) / abs(other.value), self.blocks
+        )
 
     def deviation(self, other) -> float:
-        """Distance from a number or another estimate in combined standard errors; infinite where both are 0."""
-        value, error = (other.value, other.error) if isinstance(other, Estimate) else (float(other), 0.0)
+        """Distance from a number or another estimate in combined standard errors; infinite where
+        both are 0."""
+        value, error = (
+            (other.value, other.error) if isinstance(other, Estimate) else (float(other), 0.0)
+        )
         distance, combined = abs(self.value - value), math.hypot(self.error, error)
         return distance / combined if combined > 0 else math.inf if distance > 0 else 0.0
 
@@ -50,8 +55,12 @@ def from_replicas(values) -> Estimate:
     """Mean and standard error of independent values; needs at least two."""
     values = np.asarray(values, float).ravel()
     if values.size < 2:
-        raise ValueError(f"{values.size} independent value gives no error bar; at least 2 are needed")
-    return Estimate(float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size)), values.size)
+        raise ValueError(
+            f"{values.size} independent value gives no error bar; at least 2 are needed"
+        )
+    return Estimate(
+        float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size)), values.size
+    )
 
 
 def block_average(series, blocks: int = 20) -> Estimate:
@@ -62,16 +71,24 @@ def block_average(series, blocks: int = 20) -> Estimate:
         blocks: pieces in all, each longer than the correlation time. Fewer where the
             error still grows when neighbouring pieces are merged (Flyvbjerg & Petersen 1989).
 
-    Raises ValueError for fewer than 4 values, values that are not finite, and more than two axes; TypeError for values that
-    are being traced.
+    Raises ValueError for fewer than 4 values, values that are not finite, and more than two axes;
+    TypeError for values that are being traced.
     """
     if not is_concrete(series):
-        raise TypeError("block_average works on numbers of the host: inside jit, vmap or grad take jnp.mean, and average outside")
+        raise TypeError(
+            "block_average works on numbers of the host: inside jit, vmap or grad take jnp.mean, "
+            "and average outside"
+        )
     series = np.atleast_2d(np.asarray(series, float))
     if series.ndim > 2:
-        raise ValueError(f"the series has shape {series.shape}; give (frames,) or (replicas, frames), of a tensor one component")
+        raise ValueError(
+            f"the series has shape {series.shape}; give (frames,) or (replicas, frames), of a "
+            "tensor one component"
+        )
     if not np.all(np.isfinite(series)):
-        raise ValueError("the series holds NaN or infinity: the run failed, or a frame has no such number")
+        raise ValueError(
+            "the series holds NaN or infinity: the run failed, or a frame has no such number"
+        )
     replicas, frames = series.shape
     per_replica = max(1, min(frames, blocks // replicas))
     if replicas * per_replica < 4:

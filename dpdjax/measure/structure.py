@@ -19,7 +19,8 @@ PIECES = 12
 EMPTY = 0.75
 """Share of a side below which what beads span of it is not all of it."""
 MOST_ALIKE = 0.9
-"""Correlation of neighbouring pieces up to which errors are widened: a run that never forgets its start tells no error."""
+"""Correlation of neighbouring pieces up to which errors are widened: a run that never forgets its
+start tells no error."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,25 +42,28 @@ class RadialDistribution:
         return draw(ax, self.r, self.g, self.error, "r [length]", "g(r)")
 
 
-def radial_distribution(trajectory, *, box=None, bins: int = 100, r_max: float | None = None) -> RadialDistribution:
+def radial_distribution(
+    trajectory, *, box=None, bins: int = 100, r_max: float | None = None
+) -> RadialDistribution:
     """The radial distribution function of all recorded beads, whatever their species.
 
-    Every pair is counted, ``n (n - 1) / 2`` to a frame, and compared with the exact volume of its shell:
-    beads thrown at random have g = 1 for any n. The error comes from the scatter of blocks of frames (and
-    of replicas): record frames further apart than the structure lives, about one time unit.
+    Every pair is counted, ``n (n - 1) / 2`` to a frame, and compared with the exact volume of its
+    shell: beads thrown at random have g = 1 for any n. The error comes from the scatter of blocks
+    of frames (and of replicas): record frames further apart than the structure lives, about one
+    time unit.
 
     Under shear it is the mean over all directions, each frame in its own tilted box.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions``, sheared or not; or positions (n, 3), (frames, n, 3) or
-            (batch, frames, n, 3) [length], wrapped or not.
+        trajectory: a run recorded with ``observe=dpd.positions``, sheared or not; or positions (n,
+            3), (frames, n, 3) or (batch, frames, n, 3) [length], wrapped or not.
         box: a ``Box``, one side or three [length]; only with bare positions.
         bins: shells between 0 and ``r_max``.
         r_max: largest distance [length], by default and at most half the shortest side.
 
     Raises:
-        ValueError: no recorded positions, or means of them, a sheared run without its ``strain``, positions that are not
-            finite, no box or two, ``r_max`` above half the shortest side.
+        ValueError: no recorded positions, or means of them, a sheared run without its ``strain``,
+            positions that are not finite, no box or two, ``r_max`` above half the shortest side.
     """
     position, lengths, strain = _configurations(trajectory, box)
     edges = distance_edges(lengths, bins, r_max)
@@ -69,11 +73,15 @@ def radial_distribution(trajectory, *, box=None, bins: int = 100, r_max: float |
 
 
 def distance_edges(lengths, bins, r_max):
-    """Edges (bins + 1,) of shells from 0 to ``r_max``, by default half the shortest side; ValueError for more."""
+    """Edges (bins + 1,) of shells from 0 to ``r_max``, by default half the shortest side;
+    ValueError for more."""
     half = 0.5 * float(np.min(lengths))
     r_max = half if r_max is None else float(r_max)
     if not 0 < r_max <= half * (1 + 1e-6):
-        raise ValueError(f"r_max is {r_max:.6g}; it must be above zero and at most half the shortest side, {half:.6g}")
+        raise ValueError(
+            f"r_max is {r_max:.6g}; it must be above zero and at most half the shortest side, "
+            f"{half:.6g}"
+        )
     return np.linspace(0.0, r_max, whole_bins(bins) + 1)
 
 
@@ -85,7 +93,8 @@ def whole_bins(bins) -> int:
 
 
 def count_pairs(lengths, strain, position, edges):
-    """Ordered pairs in equal shells between ``edges``, (frames, bins), of positions (frames, n, 3) at strains (frames,)."""
+    """Ordered pairs in equal shells between ``edges``, (frames, bins), of positions (frames, n, 3)
+    at strains (frames,)."""
     n = position.shape[1]
     size = max(1, min(n, PAIRS_AT_ONCE // n))
     counts = _counts_by_block(boxes.Box(lengths, strain), position, edges[-1], len(edges) - 1, size)
@@ -94,30 +103,37 @@ def count_pairs(lengths, strain, position, edges):
 
 
 def expected_pairs(edges, n: int, volume):
-    """Ordered pairs of an ideal gas in shells between ``edges``: (batch, bins) for ``volume`` (batch,)."""
+    """Ordered pairs of an ideal gas in shells between ``edges``: (batch, bins) for ``volume``
+    (batch,)."""
     shells = 4.0 / 3.0 * np.pi * np.diff(edges**3)
     return n * (n - 1) * shells[None, :] / np.asarray(volume, float)[:, None]
 
 
 @functools.partial(jax.jit, static_argnames=("bins", "size"))
 def _counts_by_block(box, position, r_max, bins: int, size: int):
-    """Ordered pairs by frame, block of ``size`` beads and shell, (frames, blocks, bins) int32; strains are (frames,)."""
+    """Ordered pairs by frame, block of ``size`` beads and shell, (frames, blocks, bins) int32;
+    strains are (frames,)."""
     n = position.shape[1]
     others = jnp.arange(n)[None, :]
 
     def of_block(strain, frame, start):
         beads = (start + jnp.arange(size))[:, None]
-        d = boxes.displacement(boxes.Box(box.lengths, strain), frame[jnp.minimum(beads, n - 1)], frame[None, :, :])
+        d = boxes.displacement(
+            boxes.Box(box.lengths, strain), frame[jnp.minimum(beads, n - 1)], frame[None, :, :]
+        )
         shell = jnp.sqrt(jnp.sum(d * d, axis=-1)) * (bins / r_max)
         shell = jnp.where((beads < n) & (beads != others), jnp.minimum(shell, bins), bins)
         return jnp.bincount(shell.astype(jnp.int32).ravel(), length=bins + 1)[:bins]
 
     starts = jnp.arange(0, n, size)
-    return jax.lax.map(lambda of: jax.lax.map(lambda start: of_block(*of, start), starts), (box.strain, position))
+    return jax.lax.map(
+        lambda of: jax.lax.map(lambda start: of_block(*of, start), starts), (box.strain, position)
+    )
 
 
 def _configurations(trajectory, box):
-    """Positions (batch, frames, n, 3), and the sides (batch, 3) and strains (batch, frames) of their boxes."""
+    """Positions (batch, frames, n, 3), and the sides (batch, 3) and strains (batch, frames) of
+    their boxes."""
     if hasattr(trajectory, "frames"):
         if box is not None:
             raise ValueError("a trajectory knows its box; give box=... only with bare positions")
@@ -137,12 +153,14 @@ def _configurations(trajectory, box):
 
 
 def _warn_of_room(position, lengths):
-    """Warn where many bare positions leave a good part of every side of the box empty: it may be another box."""
+    """Warn where many bare positions leave a good part of every side of the box empty: it may be
+    another box."""
     span = np.ptp(position, axis=(0, 1, 2))
     if position.shape[2] >= 100 and np.all(span < EMPTY * lengths.min(axis=0)):
         warnings.warn(
-            f"the positions span {np.round(span, 3).tolist()} of a box of {np.round(lengths[0], 3).tolist()}, which scales every "
-            "density and distance: give the box they are in",
+            f"the positions span {np.round(span, 3).tolist()} of a box of "
+            f"{np.round(lengths[0], 3).tolist()}, which scales every density and distance: give "
+            "the box they are in",
             stacklevel=4,
         )
 
@@ -150,14 +168,18 @@ def _warn_of_room(position, lengths):
 def average(series) -> Estimate:
     """Mean of values (batch, frames), its error over blocks of frames; NaN for a single one."""
     batch, frames = series.shape
-    return Estimate(float(np.mean(series)), float(error_of(series)), batch * _pieces_of_each(batch, frames))
+    return Estimate(
+        float(np.mean(series)), float(error_of(series)), batch * _pieces_of_each(batch, frames)
+    )
 
 
 def error_of(values) -> np.ndarray:
-    """Standard error of the mean of values (batch, frames, ...), read off blocks of frames; NaN for a single one.
+    """Standard error of the mean of values (batch, frames, ...), read off blocks of frames; NaN for
+    a single one.
 
-    Blocks that remember the one before, all numbers looked at together, count as fewer: the error of a mean of numbers
-    correlated by ``r`` from one to the next is larger by ``sqrt((1 + r) / (1 - r))``.
+    Blocks that remember the one before, all numbers looked at together, count as fewer: the error
+    of a mean of numbers correlated by ``r`` from one to the next is larger by
+    ``sqrt((1 + r) / (1 - r))``.
     """
     pieces = pieces_of(values)
     error = standard_error(pieces.reshape(-1, *values.shape[2:]))
@@ -165,7 +187,8 @@ def error_of(values) -> np.ndarray:
     spread = np.sum(off**2)
     if each < 3 or spread == 0:
         return error
-    # The mean that was taken off is that of these blocks too, and makes neighbours look less alike than they are.
+    # The mean that was taken off is that of these blocks too, and makes neighbours look less alike
+    # than they are.
     alike = np.sum(off[:, 1:] * off[:, :-1]) / spread * each / (each - 1) + 1 / each
     alike = min(max(alike, 0.0), MOST_ALIKE)
     return error * np.sqrt((1 + alike) / (1 - alike))

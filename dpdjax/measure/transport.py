@@ -40,7 +40,9 @@ class MeanSquaredDisplacement:
 
     def scaled(self, *, time=1.0, length=1.0) -> "MeanSquaredDisplacement":
         """The same in other units: ``time=tau, length=R`` for diffusion times and radii."""
-        return MeanSquaredDisplacement(self.time / time, self.value / length**2, self.error / length**2)
+        return MeanSquaredDisplacement(
+            self.time / time, self.value / length**2, self.error / length**2
+        )
 
     def plot(self, ax=None):
         """Draw it in double logarithmic scale with its error band; returns the matplotlib axes."""
@@ -78,19 +80,22 @@ def mean_squared_displacement(
     The drift of the centre of mass of all beads is taken off. Where only one species was recorded
     (``dpd.positions_of``) nothing is: without body forces the momentum of the whole stays zero.
 
-    Under shear it is the displacement relative to the flow: what the flow has carried each bead along, the integral of
-    ``rate y`` at the places it went through, is taken off. For that frames must not be further apart than a strain of 0.3,
-    which leaves the displacement along x off by 0.75 %, 0.1 by 0.1 %. A flow driven by body forces is not taken off, which is
-    warned of: measure across it, ``axes="yz"``.
+    Under shear it is the displacement relative to the flow: what the flow has carried each bead
+    along, the integral of ``rate y`` at the places it went through, is taken off. For that frames
+    must not be further apart than a strain of 0.3, which leaves the displacement along x off by
+    0.75 %, 0.1 by 0.1 %. A flow driven by body forces is not taken off, which is warned of: measure
+    across it, ``axes="yz"``.
 
     Args:
         trajectory: a run, batched or not, sheared or not.
-        species: index of the species looked at, or None for every bead; to be given where it alone was recorded.
+        species: index of the species looked at, or None for every bead; to be given where it alone
+            was recorded.
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
         axes: of the displacement that count, such as ``"yz"`` for those across a shear flow.
 
-    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a failed run, one without positions or with means of
-    them, frames of a sheared one too far apart, a species that is not there, a ``t_max`` outside the run, other axes.
+    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a failed run, one without
+    positions or with means of them, frames of a sheared one too far apart, a species that is not
+    there, a ``t_max`` outside the run, other axes.
     """
     members, shape = _of_species(trajectory, "position", species, axes)
     time, curves = correlated(trajectory, members, shape, squared_displacement, t_max)
@@ -118,53 +123,75 @@ def diffusion(
     species: int | None = None,
     axes: str = "xyz",
 ) -> Estimate:
-    """The self-diffusion coefficient ``D`` [length^2 / time] of a run recorded with ``observe=dpd.positions``.
+    """The self-diffusion coefficient ``D`` [length^2 / time] of a run recorded with
+    ``observe=dpd.positions``.
 
-    Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean squared displacement
-    (Einstein), or a third of the integral of the velocity autocorrelation up to t, averaged over t (Green-Kubo).
-    The integral needs frames much closer than the velocity lives; the slope does not.
+    Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean squared
+    displacement (Einstein), or a third of the integral of the velocity autocorrelation up to t,
+    averaged over t (Green-Kubo). The integral needs frames much closer than the velocity lives; the
+    slope does not.
 
-    D is that of the periodic box, short of a large system's by about ``2.837 kT / (6 pi viscosity side)``
-    (Duenweg & Kremer 1993). Under shear it is that relative to the flow, the mean over ``axes``: along and across the flow
-    it differs.
+    D is that of the periodic box, short of a large system's by about
+    ``2.837 kT / (6 pi viscosity side)`` (Duenweg & Kremer 1993). Under shear it is that relative to
+    the flow, the mean over ``axes``: along and across the flow it differs.
 
     Args:
         trajectory: a run, batched or not, sheared or not.
         method: ``"msd"`` or ``"vacf"``.
-        fit: first and last lag [time]: after the velocity is forgotten, and below half the run. By default the
-            later half of the lags that leave 12 independent pieces.
+        fit: first and last lag [time]: after the velocity is forgotten, and below half the run. By
+            default the later half of the lags that leave 12 independent pieces.
         species: index of the species looked at, or None for every bead.
         axes: of the displacement that count, as in :func:`mean_squared_displacement`.
 
-    Warns, with lags that would do, where what velocities remember beyond those of ``fit`` is more than the error: of the drag,
-    and of the flow that beads have stirred up, by kinetic theory (:mod:`dpdjax.measure.forgetting`); where the slope of the
-    displacements still grows; and where frames are too far apart to integrate.
+    Warns, with lags that would do, where what velocities remember beyond those of ``fit`` is more
+    than the error: of the drag, and of the flow that beads have stirred up, by kinetic theory
+    (:mod:`dpdjax.measure.forgetting`); where the slope of the displacements still grows; and where
+    frames are too far apart to integrate.
 
-    Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves fewer than 4
-    independent pieces, lags at which beads still fly as they started, and as :func:`mean_squared_displacement` does.
+    Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves
+    fewer than 4 independent pieces, lags at which beads still fly as they started, and as
+    :func:`mean_squared_displacement` does.
     """
-    readings = {"msd": ("position", squared_displacement, einstein), "vacf": ("velocity", autocorrelation, green_kubo_integral)}
+    readings = {
+        "msd": ("position", squared_displacement, einstein),
+        "vacf": ("velocity", autocorrelation, green_kubo_integral),
+    }
     if method not in readings:
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')
     name, correlate, read = readings[method]
     members, shape = _of_species(trajectory, name, species, axes)
-    memory = memory_of_beads(trajectory, chosen_beads(trajectory, species), bead_masses(trajectory)[0], species_of(trajectory))
+    memory = memory_of_beads(
+        trajectory,
+        chosen_beads(trajectory, species),
+        bead_masses(trajectory)[0],
+        species_of(trajectory),
+    )
     return read_diffusion(trajectory, members, shape, correlate, read, fit, memory, 3.0 / len(axes))
 
 
 def read_diffusion(
-    trajectory, members, shape, correlate, read, fit: tuple[float, float] | None, memory: Memory, factor: float = 1.0
+    trajectory,
+    members,
+    shape,
+    correlate,
+    read,
+    fit: tuple[float, float] | None,
+    memory: Memory,
+    factor: float = 1.0,
 ) -> Estimate:
-    """A diffusion coefficient, ``factor`` times that of what ``correlate`` makes of each member by ``read`` over ``fit``.
+    """A diffusion coefficient, ``factor`` times that of what ``correlate`` makes of each member by
+    ``read`` over ``fit``.
 
     See :func:`correlated`, and :func:`is_forgotten` for ``memory``.
     """
-    time, curves = correlated(trajectory, members, shape, correlate, None if fit is None else fit[1])
+    time, curves = correlated(
+        trajectory, members, shape, correlate, None if fit is None else fit[1]
+    )
     window = _window(time, (0.5 * time[-1], time[-1]) if fit is None else fit)
     if len(curves) < LEAST_PIECES:
         raise ValueError(
-            f"{len(curves)} independent pieces give no error bar; run 8 times as long as the last lag "
-            f"of the fit, {time[-1]:.4g}, or several replicas"
+            f"{len(curves)} independent pieces give no error bar; run 8 times as long as the last "
+            f"lag of the fit, {time[-1]:.4g}, or several replicas"
         )
     found = from_replicas(read(time, curves, window)).scaled(factor)
     forgotten = is_forgotten(memory, found, time[window], LEAST_PIECES if fit else PIECES)
@@ -176,7 +203,8 @@ def read_diffusion(
 
 
 def _check_straight(time, curves, window, found: Estimate):
-    """Warn where displacements still speed up over the lags of a fit: the slope there is not that of diffusion."""
+    """Warn where displacements still speed up over the lags of a fit: the slope there is not that
+    of diffusion."""
     lags = np.flatnonzero(window)
     if len(lags) < 4:
         return
@@ -184,21 +212,28 @@ def _check_straight(time, curves, window, found: Estimate):
     change = late - early
     if change.mean() > max(0.1 * early.mean(), 3 * change.std(ddof=1) / np.sqrt(len(change))):
         warnings.warn(
-            f"the mean squared displacement is not yet straight between {time[lags[0]]:.4g} and {time[lags[-1]]:.4g}: its slope "
-            f"grows by {change.mean() / early.mean():.0%} within, so {found} is too small; run longer, or fit later lags, fit=(...)",
+            f"the mean squared displacement is not yet straight between {time[lags[0]]:.4g} and "
+            f"{time[lags[-1]]:.4g}: its slope grows by {change.mean() / early.mean():.0%} within, "
+            f"so {found} is too small; run longer, or fit later lags, fit=(...)",
             stacklevel=4,
         )
 
 
 def _check_close(time, curves, window, found: Estimate):
-    """Warn where frames are too far apart for the integral of a velocity autocorrelation, by the one of every other frame."""
+    """Warn where frames are too far apart for the integral of a velocity autocorrelation, by the
+    one of every other frame."""
     even = slice(0, len(time) // 2 * 2 + 1, 2)
-    coarse = green_kubo_integral(time[even], curves[:, even], window[even]) if np.any(window[even]) else np.nan
+    coarse = (
+        green_kubo_integral(time[even], curves[:, even], window[even])
+        if np.any(window[even])
+        else np.nan
+    )
     # The trapezoidal rule is off by the square of the step: by a third of what doubling it changes.
     off = float(np.mean(coarse - green_kubo_integral(time, curves, window))) / 3
     if off > found.error:
         warnings.warn(
-            f"frames {time[1]:.3g} apart are too far for the integral of the velocity autocorrelation, which is too large by about "
+            f"frames {time[1]:.3g} apart are too far for the integral of the velocity "
+            "autocorrelation, which is too large by about "
             f'{off:.2g}, more than the error of {found}; record closer frames, or use method="msd"',
             stacklevel=4,
         )
@@ -236,7 +271,11 @@ def correlated(trajectory, members, shape, correlate, t_max):
     interval = shared(trajectory.interval)
     longest = _longest_lag(frames, batch, interval, t_max)
     each = pieces_of_member(batch, frames, longest)
-    curves = [correlate(piece, longest) for member in members for piece in np.split(member[: frames // each * each], each)]
+    curves = [
+        correlate(piece, longest)
+        for member in members
+        for piece in np.split(member[: frames // each * each], each)
+    ]
     return interval * np.arange(longest + 1), np.array(curves)
 
 
@@ -245,29 +284,38 @@ def _longest_lag(frames, batch, interval, t_max):
     if t_max is None:
         longest = frames // (2 * -(-PIECES // batch))
         if longest < 1:
-            raise ValueError(f"{frames} frames are too few for {PIECES} pieces; record more, or give the longest lag")
+            raise ValueError(
+                f"{frames} frames are too few for {PIECES} pieces; record more, or give the "
+                "longest lag"
+            )
         return longest
     longest = math.floor(t_max / interval + 1e-4)
     if not 1 <= longest < frames:
         run = interval * (frames - 1)
-        raise ValueError(f"longest lag {t_max:.4g} is outside the run; frames are {interval:.4g} apart over {run:.4g}")
+        raise ValueError(
+            f"longest lag {t_max:.4g} is outside the run; frames are {interval:.4g} apart over "
+            f"{run:.4g}"
+        )
     return longest
 
 
 def _of_species(trajectory, name: str, species, axes: str):
-    """Of each member positions or velocities (frames, beads, axes) of a species, and the shape of all; see :func:`_relative`."""
+    """Of each member positions or velocities (frames, beads, axes) of a species, and the shape of
+    all; see :func:`_relative`."""
     values = displaced(trajectory) if name == "position" else recorded(trajectory, name)
     needs.warn_unsettled(trajectory.frames)
     return _relative(trajectory, values, species, _columns(trajectory, axes)), values.shape
 
 
 def _columns(trajectory, axes: str) -> list[int]:
-    """The axes by number; ValueError for others than some of x, y and z. Warns where all are meant and a force drove the run."""
+    """The axes by number; ValueError for others than some of x, y and z. Warns where all are meant
+    and a force drove the run."""
     if not axes or len(set(axes)) < len(axes) or not set(axes) <= set("xyz"):
         raise ValueError(f'axes is {axes!r}; give some of "xyz", such as "yz" across a shear flow')
     if len(axes) == 3 and needs.is_pushed(trajectory):
         warnings.warn(
-            "a force drove this run, and the flow that it made is not taken off the motion of the beads; "
+            "a force drove this run, and the flow that it made is not taken off the motion of the "
+            "beads; "
             'measure across it, axes="yz" for a force along x',
             stacklevel=4,
         )
@@ -303,8 +351,8 @@ def _without_drift(values, mass):
 def _products(values, longest: int):
     """Mean over beads and origins of ``x(t0) . x(t0 + t)``, (longest + 1,), for x (frames, n, 3).
 
-    Every lag has the same origins, those that the longest still finds an end for. By Fourier transform:
-    the circular product of origins and frames does not wrap at these lags.
+    Every lag has the same origins, those that the longest still finds an end for. By Fourier
+    transform: the circular product of origins and frames does not wrap at these lags.
     """
     frames, n = values.shape[:2]
     spectrum = 0.0
@@ -319,7 +367,8 @@ def autocorrelation(velocity, longest: int):
 
 
 def squared_displacement(position, longest: int):
-    """``<x(t)^2> + <x(0)^2> - 2 <x(t) . x(0)>`` over the origins common to all lags, (longest + 1,)."""
+    """``<x(t)^2> + <x(0)^2> - 2 <x(t) . x(0)>`` over the origins common to all lags, (longest +
+    1,)."""
     # Only displacements count: start at the origin, where the difference of squares loses least.
     position = position - position[:1]
     origins = len(position) - longest

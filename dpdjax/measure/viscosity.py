@@ -1,13 +1,14 @@
 """Shear viscosity, by four methods that share nothing but the fluid.
 
-| method                      | record                                        | notes                           |
-|-----------------------------|-----------------------------------------------|---------------------------------|
-| ``shear_viscosity``         | a run under ``dpd.shear(rate)``               | the workhorse; at finite rate   |
-| ``green_kubo``              | ``observe=dpd.green_kubo_record``, short ``every`` | equilibrium, zero rate     |
-| ``einstein_helfand``        | ``observe=dpd.einstein_helfand_record``       | equilibrium; every step summed  |
-| ``sinusoidal_viscosity``    | ``observe=dpd.sine_record(waves)``            | needs no stress; k -> 0 by hand |
+| method                   | record                        | notes                           |
+|--------------------------|-------------------------------|---------------------------------|
+| ``shear_viscosity``      | under ``dpd.shear(rate)``     | the workhorse; at finite rate   |
+| ``green_kubo``           | ``green_kubo_record``         | equilibrium; frames close by    |
+| ``einstein_helfand``     | ``einstein_helfand_record``   | equilibrium; every step summed  |
+| ``sinusoidal_viscosity`` | ``sine_record(waves)``        | needs no stress; k -> 0 by hand |
 
-A batched trajectory is taken as replicas of one system: its members are pooled, and a scan over numbers is refused.
+A batched trajectory is taken as replicas of one system: its members are pooled, and a scan over
+numbers is refused.
 """
 
 import functools
@@ -34,10 +35,13 @@ from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 
 CLEARLY, LIKELY = 3.0, 0.5
-"""Standard errors at which something is there, and the share of an error above which it is told of."""
+"""Standard errors at which something is there, and the share of an error above which it is told of.
+"""
 
 
-def shear_viscosity(trajectory, *, skip: float = 0.1, blocks: int = 20, control: bool = True) -> Estimate:
+def shear_viscosity(
+    trajectory, *, skip: float = 0.1, blocks: int = 20, control: bool = True
+) -> Estimate:
     """Viscosity ``-<P_xy> / rate`` of a sheared run [energy time / volume].
 
     The pressure holds the kinetic, conservative and drag parts. The random part has mean
@@ -128,13 +132,16 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
     interval = dt * trajectory.every
     instant = block_average(frames["instantaneous_viscosity"], blocks)
     later = from_replicas(np.trapezoid(correlation, dx=interval, axis=1))
-    found = Estimate(instant.value + later.value, math.hypot(instant.error, later.error), later.blocks)
+    found = Estimate(
+        instant.value + later.value, math.hypot(instant.error, later.error), later.blocks
+    )
     _warn_unfaded(correlation, interval, later, found)
     return found
 
 
 def _warn_unfaded(correlation, interval: float, later: Estimate, found: Estimate):
-    """Warn where correlations (pieces, lags) are cut off before they have faded, by what they would leave if they faded evenly."""
+    """Warn where correlations (pieces, lags) are cut off before they have faded, by what they would
+    leave if they faded evenly."""
     lags = correlation.shape[1]
     last = from_replicas(correlation[:, -max(1, lags // 4) :].mean(axis=1))
     first = float(correlation[:, 0].mean())
@@ -145,8 +152,9 @@ def _warn_unfaded(correlation, interval: float, later: Estimate, found: Estimate
     if abs(missing) > LIKELY * found.error:
         rest = f"about {missing:.2g}" if math.isfinite(missing) else "most of it"
         warnings.warn(
-            f"the stress is still remembered at the end of the window, to {last.value / first:.0%} of what it was, and the viscosity "
-            f"{found} leaves out {rest}; give a longer window, a few times {interval * lags:.3g}",
+            "the stress is still remembered at the end of the window, to "
+            f"{last.value / first:.0%} of what it was, and the viscosity {found} leaves out "
+            f"{rest}; give a longer window, a few times {interval * lags:.3g}",
             stacklevel=3,
         )
 
@@ -169,8 +177,8 @@ def einstein_helfand(
 
     Args:
         trajectory: a run with ``observe=dpd.einstein_helfand_record``, one or replicas.
-        window, start: times between which the slope is taken [time], after the stress is forgotten; from half the window on
-            unless told otherwise.
+        window, start: times between which the slope is taken [time], after the stress is forgotten;
+            from half the window on unless told otherwise.
         skip, blocks: as in :func:`green_kubo`.
 
     Warns where the integral still grows faster and faster, or slower, between these times.
@@ -186,8 +194,12 @@ def einstein_helfand(
     last = max(round(window / interval), first + 1)
     middle = (first + last) // 2
     jumps = _irreducible(frames["flux_integral"])
-    growth = np.array([_growth(jumps[k], (first, middle, last)) for k in _pieces(jumps.shape, blocks, last)])
-    slope = lambda a, b, m, n: volume / (2 * kT) * (growth[:, b] - growth[:, a]) / ((n - m) * interval)
+    growth = np.array(
+        [_growth(jumps[k], (first, middle, last)) for k in _pieces(jumps.shape, blocks, last)]
+    )
+    slope = lambda a, b, m, n: (
+        volume / (2 * kT) * (growth[:, b] - growth[:, a]) / ((n - m) * interval)
+    )
     found = from_replicas(slope(0, 2, first, last))
     if middle > first:
         _warn_bent(slope(0, 1, first, middle), slope(1, 2, middle, last), found)
@@ -201,12 +213,14 @@ def _growth(jumps, lags):
 
 
 def _warn_bent(early, late, found: Estimate):
-    """Warn where slopes (pieces,) of the later half differ from those of the earlier one by more than errors explain."""
+    """Warn where slopes (pieces,) of the later half differ from those of the earlier one by more
+    than errors explain."""
     change = from_replicas(late - early)
     if change.deviation(0.0) > CLEARLY and abs(change.value) > LIKELY * found.error:
         warnings.warn(
-            f"the integral of the stress is not yet straight: its slope changes by {change.value:.2g} between the two halves of the "
-            f"window, and the viscosity {found} is off; start later, start=..., or give a longer window",
+            "the integral of the stress is not yet straight: its slope changes by "
+            f"{change.value:.2g} between the two halves of the window, and the viscosity {found} "
+            "is off; start later, start=..., or give a longer window",
             stacklevel=3,
         )
 
@@ -239,10 +253,18 @@ def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> 
     """
     numbers = getattr(trajectory.flow, "numbers", {})
     if "wavenumber" not in numbers:
-        raise ValueError("this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)")
-    velocity = block_average(_later(trajectory, skip, need="wave_velocity")["wave_velocity"], blocks)
+        raise ValueError(
+            "this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)"
+        )
+    velocity = block_average(
+        _later(trajectory, skip, need="wave_velocity")["wave_velocity"], blocks
+    )
     density = trajectory.final.n / _constants(trajectory)[1]
-    eta = density * shared(numbers["amplitude"]) / (velocity.value * shared(numbers["wavenumber"]) ** 2)
+    eta = (
+        density
+        * shared(numbers["amplitude"])
+        / (velocity.value * shared(numbers["wavenumber"]) ** 2)
+    )
     return Estimate(eta, abs(eta) * velocity.error / abs(velocity.value), velocity.blocks)
 
 
@@ -252,8 +274,12 @@ def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
     For k^2 -> 0, dt -> 0 or rate^2 -> 0. Raises ValueError for fewer than two points.
     """
     if len(x) < 2 or len(x) != len(estimates):
-        raise ValueError(f"{len(x)} abscissae for {len(estimates)} estimates; a line needs two of each")
-    design = np.stack([np.ones(len(x)), np.asarray(x, float)], 1) / np.array([[e.error] for e in estimates])
+        raise ValueError(
+            f"{len(x)} abscissae for {len(estimates)} estimates; a line needs two of each"
+        )
+    design = np.stack([np.ones(len(x)), np.asarray(x, float)], 1) / np.array(
+        [[e.error] for e in estimates]
+    )
     covariance = np.linalg.inv(design.T @ design)
     solution = covariance @ design.T @ np.array([e.value / e.error for e in estimates])
     return Estimate(float(solution[0]), float(np.sqrt(covariance[0, 0])), len(x))
@@ -285,7 +311,10 @@ def _later(trajectory, skip, need=None) -> dict:
     axis = 1 if trajectory.is_batch else 0
     count = np.shape(trajectory.frames["time"])[axis]
     first = int(skip * count)
-    frames = {k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:] for k, v in trajectory.frames.items()}
+    frames = {
+        k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:]
+        for k, v in trajectory.frames.items()
+    }
     needs.finite(frames)
     needs.warn_of_heat(trajectory, frames)
     needs.warn_unsettled(frames)
@@ -300,16 +329,19 @@ def _constants(trajectory):
 
 
 def _irreducible(tensors):
-    """Symmetric traceless and antisymmetric parts as 18 numbers, scaled so that their products sum to one P_xy P_xy.
+    """Symmetric traceless and antisymmetric parts as 18 numbers, scaled so that their products sum
+    to one P_xy P_xy.
 
-    By isotropy P_xy P_xy is a tenth of the sum over all nine products of the former, and a sixth of that of the latter,
-    which is there where drag acts across the line of centres.
+    By isotropy P_xy P_xy is a tenth of the sum over all nine products of the former, and a sixth of
+    that of the latter, which is there where drag acts across the line of centres.
     """
     tensors = np.asarray(tensors, float)
     swapped = np.swapaxes(tensors, -1, -2)
     symmetric, odd = 0.5 * (tensors + swapped), 0.5 * (tensors - swapped)
     trace = np.trace(symmetric, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) / 3
-    parts = [(symmetric - trace) / math.sqrt(10.0)] + ([odd / math.sqrt(6.0)] if np.any(odd) else [])
+    parts = [(symmetric - trace) / math.sqrt(10.0)] + (
+        [odd / math.sqrt(6.0)] if np.any(odd) else []
+    )
     flat = np.concatenate([p.reshape(*tensors.shape[:-2], 9) for p in parts], axis=-1)
     return flat if flat.ndim == 3 else flat[None]
 
@@ -320,7 +352,9 @@ def _pieces(shape, blocks, lags):
     each = max(1, min(-(-blocks // replicas), frames // (4 * lags)))
     length = frames // each
     if replicas * each < 2 or length <= lags:
-        raise ValueError(f"{frames} frames of {replicas} replicas are too few for a window of {lags}: run longer")
+        raise ValueError(
+            f"{frames} frames of {replicas} replicas are too few for a window of {lags}: run longer"
+        )
     return [(r, slice(b * length, (b + 1) * length)) for r in range(replicas) for b in range(each)]
 
 

@@ -1,12 +1,20 @@
 """Pair laws of colloids, on the gap ``h`` between surfaces: contact, attraction, lubrication.
 
-Radii ``R_i``, ``R_j`` and ``kT`` are asked for by name, the engine gives them. Laws named after a source
-reproduce it to the letter, where the default here differs.
+Radii ``R_i``, ``R_j`` and ``kT`` are asked for by name, the engine gives them. Laws named after a
+source reproduce it to the letter, where the default here differs.
 """
 
 import jax.numpy as jnp
 
-from dpdjax.model.declare import attracts, bounded, friction, of_viscosity, potential, proportional_to, reaches
+from dpdjax.model.declare import (
+    attracts,
+    bounded,
+    friction,
+    of_viscosity,
+    potential,
+    proportional_to,
+    reaches,
+)
 
 
 def solvent_cut(*, r_c):
@@ -29,7 +37,8 @@ def balanced_cut(*, r_c, R_i, R_j):
 @proportional_to("strength")
 @bounded(r_c="positive")
 def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
-    """Soft repulsion of colloid and solvent, force ``strength/r' (1 - h/r')``, with ``r'`` of :func:`balanced_cut`.
+    """Soft repulsion of colloid and solvent, force ``strength/r' (1 - h/r')``, with ``r'`` of
+    :func:`balanced_cut`.
 
     ``strength`` [energy], 25 kT by default, is what ``a r_c`` is between solvent beads. Inside the
     colloid (h < 0) the force goes on growing.
@@ -43,16 +52,22 @@ def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
 @proportional_to("strength")
 @bounded(r_c="positive")
 def scripts_repulsion(h, *, strength, r_c, R_i, R_j):
-    """:func:`balanced_repulsion` as the group's scripts have it: ``strength`` over the cut-off from the *centre*."""
+    """:func:`balanced_repulsion` as the group's scripts have it: ``strength`` over the cut-off from
+    the *centre*."""
     cut = balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)
-    return balanced_repulsion(h, strength=strength, r_c=r_c, R_i=R_i, R_j=R_j) * cut / (cut + R_i + R_j)
+    return (
+        balanced_repulsion(h, strength=strength, r_c=r_c, R_i=R_i, R_j=R_j)
+        * cut
+        / (cut + R_i + R_j)
+    )
 
 
 @friction
 @reaches(balanced_cut)
 @bounded(gamma="not negative", r_c="positive")
 def balanced_drag(h, *, gamma, r_c, R_i, R_j):
-    """DPD friction of colloid and solvent, ``gamma (1 - h/r')^2`` with ``r'`` of :func:`balanced_cut`."""
+    """DPD friction of colloid and solvent, ``gamma (1 - h/r')^2`` with ``r'`` of
+    :func:`balanced_cut`."""
     return gamma * (1.0 - h / balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)) ** 2
 
 
@@ -61,7 +76,8 @@ def balanced_drag(h, *, gamma, r_c, R_i, R_j):
 @proportional_to("f")
 @bounded(f="not negative", Delta="positive", r_c="positive")
 def contact(h, *, f, Delta, r_c):
-    """Semi-hard contact (after Jamali & Boromand 2015): force ``f (1 - h/Delta)^3`` up to ``Delta``, ``f (1 - h/r_c)`` in overlap.
+    """Semi-hard contact (after Jamali & Boromand 2015): force ``f (1 - h/Delta)^3`` up to
+    ``Delta``, ``f (1 - h/r_c)`` in overlap.
 
     ``f`` [energy/length], ``10^4 kT/r_c`` by default; ``Delta`` [length] is the roughness of the
     surface. It stands for no force of nature: it keeps hard spheres apart at a finite time step.
@@ -86,10 +102,11 @@ def scaled_contact(h, *, f, Delta, r_c, R_i, R_j):
 @proportional_to("D0")
 @bounded(D0="not negative", kappa="positive")
 def morse(h, *, D0, kappa, r0):
-    """Morse potential ``D0 (exp(-2 kappa (h - r0)) - 2 exp(-kappa (h - r0)))`` [energy] (Morse 1929, eq. 4).
+    """Morse potential ``D0 (exp(-2 kappa (h - r0)) - 2 exp(-kappa (h - r0)))`` [energy] (Morse
+    1929, eq. 4).
 
-    Depth ``D0`` at ``h = r0``; range about ``3/kappa``, where a tenth of it is left. Ends at ``r0 + 6/kappa``
-    unless told otherwise.
+    Depth ``D0`` at ``h = r0``; range about ``3/kappa``, where a tenth of it is left. Ends at
+    ``r0 + 6/kappa`` unless told otherwise.
     """
     e = jnp.exp(-kappa * (h - r0))
     return D0 * (e * e - 2.0 * e)
@@ -101,10 +118,12 @@ def morse(h, *, D0, kappa, r0):
 @proportional_to("kT")
 @bounded(phi_p="not negative", r_g="positive")
 def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
-    """Depletion attraction by ideal polymer (Asakura & Oosawa 1954): osmotic pressure times the overlap of the depletion zones.
+    """Depletion attraction by ideal polymer (Asakura & Oosawa 1954): osmotic pressure times the
+    overlap of the depletion zones.
 
-    ``phi_p`` is the volume fraction of polymer coils of radius of gyration ``r_g`` [length]. The overlap is
-    that of two spheres of radii ``R_i + r_g`` and ``R_j + r_g``, exact for unequal ones too.
+    ``phi_p`` is the volume fraction of polymer coils of radius of gyration ``r_g`` [length]. The
+    overlap is that of two spheres of radii ``R_i + r_g`` and ``R_j + r_g``, exact for unequal ones
+    too.
     """
     A, B = R_i + r_g, R_j + r_g
     r = h + R_i + R_j
@@ -120,8 +139,8 @@ def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
 def yukawa(h, *, epsilon, kappa, R_i, R_j):
     """Screened Coulomb potential of two spheres, ``epsilon (R_i + R_j)/r exp(-kappa h)`` [energy].
 
-    ``epsilon`` is the energy at contact, ``1/kappa`` the screening length (Verwey & Overbeek 1948). Below
-    zero it attracts. Ends at ``8/kappa``.
+    ``epsilon`` is the energy at contact, ``1/kappa`` the screening length (Verwey & Overbeek 1948).
+    Below zero it attracts. Ends at ``8/kappa``.
     """
     return epsilon * (R_i + R_j) / (h + R_i + R_j) * jnp.exp(-kappa * h)
 
@@ -130,10 +149,11 @@ def yukawa(h, *, epsilon, kappa, R_i, R_j):
 @of_viscosity("eta_0")
 @bounded(eta_0="not negative", delta="positive")
 def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
-    """Squeezing friction ``3 pi eta_0/(2 h) ((R_i + R_j)/2)^2``, constant below ``delta`` (Ball & Melrose 1997, appendix A).
+    """Squeezing friction ``3 pi eta_0/(2 h) ((R_i + R_j)/2)^2``, constant below ``delta`` (Ball &
+    Melrose 1997, appendix A).
 
-    Exact to leading order for equal spheres; for unequal ones see :func:`unequal_lubrication`. ``eta_0``
-    [energy time/volume] is the viscosity of the solvent.
+    Exact to leading order for equal spheres; for unequal ones see :func:`unequal_lubrication`.
+    ``eta_0`` [energy time/volume] is the viscosity of the solvent.
     """
     return 1.5 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (0.5 * (R_i + R_j)) ** 2
 
@@ -142,7 +162,8 @@ def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
 @of_viscosity("eta_0")
 @bounded(eta_0="not negative", delta="positive")
 def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
-    """Squeezing friction ``6 pi eta_0/h (R_i R_j/(R_i + R_j))^2``, exact to leading order (Jeffrey & Onishi 1984, eq. 3.17)."""
+    """Squeezing friction ``6 pi eta_0/h (R_i R_j/(R_i + R_j))^2``, exact to leading order (Jeffrey
+    & Onishi 1984, eq. 3.17)."""
     return 6.0 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (R_i * R_j / (R_i + R_j)) ** 2
 
 
@@ -150,7 +171,8 @@ def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
 @of_viscosity("eta_0")
 @bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
 def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
-    """Drag of lubricated colloids as first published: :func:`central_drag` and lubrication, none of either in overlap."""
+    """Drag of lubricated colloids as first published: :func:`central_drag` and lubrication, none of
+    either in overlap."""
     lubrication = squeezing_lubrication(h, eta_0=eta_0, delta=delta, R_i=R_i, R_j=R_j)
     return jnp.where(h > 0, gamma * (1.0 - h / r_c) ** 2 + lubrication, 0.0)
 
@@ -159,10 +181,11 @@ def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
 @of_viscosity("eta_0")
 @bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
 def literal_noise(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
-    """The friction behind the noise of lubricated colloids as first published, ``(gamma + a_sq) w^2``.
+    """The friction behind the noise of lubricated colloids as first published,
+    ``(gamma + a_sq) w^2``.
 
-    Give it as ``random=`` next to :func:`literal_drag`. It is less than the drag: close pairs are colder than
-    kT, half as warm at h = 0.5.
+    Give it as ``random=`` next to :func:`literal_drag`. It is less than the drag: close pairs are
+    colder than kT, half as warm at h = 0.5.
     """
     lubrication = squeezing_lubrication(h, eta_0=eta_0, delta=delta, R_i=R_i, R_j=R_j)
     return jnp.where(h > 0, (gamma + lubrication) * (1.0 - h / r_c) ** 2, 0.0)

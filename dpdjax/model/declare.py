@@ -1,4 +1,5 @@
-"""What a law declares of itself, by decorators: where it ends, which numbers suit it, and what they stand for.
+"""What a law declares of itself, by decorators: where it ends, which numbers suit it, and what they
+stand for.
 
 No layer knows a law or a coefficient by name; it reads what is declared here.
 """
@@ -9,36 +10,43 @@ from dpdjax.checks import not_negative, positive
 
 CENTRAL, TRANSVERSE, FULL = "central", "transverse", "full"
 PROJECTORS = (CENTRAL, TRANSVERSE, FULL)
-"""What part of the relative velocity of two surfaces a friction acts on: along the line of centres, across it, all of it."""
+"""What part of the relative velocity of two surfaces a friction acts on: along the line of centres,
+across it, all of it."""
 POTENTIAL, FRICTION = "potential", "friction"
 BOUNDS = {"positive": positive, "not negative": not_negative}
 """What :func:`bounded` may say of a coefficient."""
 
 
 def reaches(function: Callable):
-    """A decorator that says where a law ends: ``function(*, ...)`` of its coefficients, R_i, R_j and kT [length]."""
+    """A decorator that says where a law ends: ``function(*, ...)`` of its coefficients, R_i, R_j
+    and kT [length]."""
     return _declared("reach", function)
 
 
 def projected(projector: str):
-    """A decorator that says which part of the relative velocity a friction acts on, one of ``PROJECTORS``."""
+    """A decorator that says which part of the relative velocity a friction acts on, one of
+    ``PROJECTORS``."""
     return _declared("projector", known_projector(projector))
 
 
 def potential(law: Callable):
-    """A decorator that says that a law is an energy, so that it is refused where a friction is wanted."""
+    """A decorator that says that a law is an energy, so that it is refused where a friction is
+    wanted."""
     return _declared("kind", POTENTIAL)(law)
 
 
 def friction(law: Callable):
-    """A decorator that says that a law is a friction, so that it is refused where a potential is wanted."""
+    """A decorator that says that a law is a friction, so that it is refused where a potential is
+    wanted."""
     return _declared("kind", FRICTION)(law)
 
 
 def bounded(**bounds: str):
-    """A decorator that says which numbers a law takes, ``@dpd.bounded(gamma="not negative", r_c="positive")``.
+    """A decorator that says which numbers a law takes, ``@dpd.bounded(gamma="not negative",
+    r_c="positive")``.
 
-    Others are refused where they are given. Raises ValueError for a bound that is none of these two.
+    Others are refused where they are given. Raises ValueError for a bound that is none of these
+    two.
     """
     for name, bound in bounds.items():
         if bound not in BOUNDS:
@@ -47,18 +55,21 @@ def bounded(**bounds: str):
 
 
 def attracts(function: Callable):
-    """A decorator that says how far a law attracts: the gap, ``function(*, ...)`` as for ``reaches``, where a tenth of its
-    depth is left [length]. Spheres closer than that are in contact unless told otherwise."""
+    """A decorator that says how far a law attracts: the gap, ``function(*, ...)`` as for
+    ``reaches``, where a tenth of its depth is left [length]. Spheres closer than that are in
+    contact unless told otherwise."""
     return _declared("attraction", function)
 
 
 def proportional_to(coefficient: str):
-    """A decorator that names the coefficient a potential is proportional to: ``fluid.set(kT=..., energies="scale")`` scales it."""
+    """A decorator that names the coefficient a potential is proportional to:
+    ``fluid.set(kT=..., energies="scale")`` scales it."""
     return _declared("strength", coefficient)
 
 
 def of_viscosity(coefficient: str):
-    """A decorator that names the coefficient of a friction that is the viscosity of the solvent, which tells diffusion times."""
+    """A decorator that names the coefficient of a friction that is the viscosity of the solvent,
+    which tells diffusion times."""
     return _declared("viscosity", coefficient)
 
 
@@ -79,7 +90,10 @@ def check_kind(law: Callable, kind: str):
     """Raise ValueError where a law declares that it is of the other kind."""
     if getattr(law, "kind", kind) != kind:
         wanted = {POTENTIAL: "conservative", FRICTION: "drag"}
-        raise ValueError(f"{name_of(law)} is a {law.kind} and was given as a {kind}: it goes with {wanted[law.kind]}=[...]")
+        raise ValueError(
+            f"{name_of(law)} is a {law.kind} and was given as a {kind}: it goes with "
+            f"{wanted[law.kind]}=[...]"
+        )
 
 
 def name_of(law: Callable) -> str:

@@ -50,7 +50,8 @@ class Interaction:
         return Interaction(each(self.conservative), each(self.drag), each(self.random), self.groups)
 
     def reaches(self, R_i, R_j, kT) -> list:
-        """Of each term the centre distance at which it ends between beads of these radii [length]."""
+        """Of each term the centre distance at which it ends between beads of these radii
+        [length]."""
         return [t.between(R_i=R_i, R_j=R_j, kT=kT)[1] + R_i + R_j for t in self.terms]
 
 
@@ -66,7 +67,8 @@ class Fluid:
         kT: thermal energy [energy].
         mass: mass of each species, shape (species,) [mass].
         radius: of each species its radius [length], or None for points.
-        inertia: of each species its moment of inertia [mass length^2], or None where it does not rotate.
+        inertia: of each species its moment of inertia [mass length^2], or None where it does not
+            rotate.
     """
 
     interactions: tuple[Interaction, ...]
@@ -95,7 +97,8 @@ class Fluid:
         return tuple(k for k, inertia in enumerate(self.inertia) if inertia is not None)
 
     def turns(self, species: int) -> bool:
-        """Whether some friction turns the beads of a species; along the line of centres none does."""
+        """Whether some friction turns the beads of a species; along the line of centres none
+        does."""
         of_species = (i for i in self.interactions if any(species in group for group in i.groups))
         return species in self.rotating and not all(i.is_central for i in of_species)
 
@@ -106,7 +109,10 @@ class Fluid:
         """
         numbers = jax.tree.map(np.asarray, self)
         largest = (1.0,) * self.species if largest is None else largest
-        radius = [0.0 if r is None else float(np.max(r)) * float(size) for r, size in zip(numbers.radius, largest)]
+        radius = [
+            0.0 if r is None else float(np.max(r)) * float(size)
+            for r, size in zip(numbers.radius, largest)
+        ]
         of_group = lambda group: max(radius[k] for k in group)
         kT = np.max(numbers.kT)
         farthest = lambda i: max(float(np.max(r)) for r in i.reaches(*map(of_group, i.groups), kT))
@@ -119,20 +125,27 @@ class Fluid:
         return tuple(dict.fromkeys((*ORIGINS, *labels)))
 
     def origins_of(self, kind: str) -> tuple[str, ...]:
-        """Names under which the stresses of potentials (``"conservative"``) or of frictions (``"drag"``) are kept."""
-        labels = [t.origin for i in self.interactions for t in getattr(i, kind) if t.origin is not None]
+        """Names under which the stresses of potentials (``"conservative"``) or of frictions
+        (``"drag"``) are kept."""
+        labels = [
+            t.origin for i in self.interactions for t in getattr(i, kind) if t.origin is not None
+        ]
         return tuple(dict.fromkeys((kind, *labels)))
 
     @property
     def coefficients(self) -> tuple[str, ...]:
         """The names of all coefficients; :meth:`value` has their numbers."""
-        return tuple(sorted({name for i in self.interactions for t in i.terms for name in t.coefficients}))
+        return tuple(
+            sorted({name for i in self.interactions for t in i.terms for name in t.coefficients})
+        )
 
     def value(self, name: str, *, between=None):
-        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or a coefficient.
+        """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or
+        a coefficient.
 
-        ``between``: the two species (or groups of species) whose terms are asked. Raises TypeError for a name that no
-        term knows, ValueError where terms disagree; where numbers are traced, one on which they disagree is NaN.
+        ``between``: the two species (or groups of species) whose terms are asked. Raises TypeError
+        for a name that no term knows, ValueError where terms disagree; where numbers are traced,
+        one on which they disagree is NaN.
         """
         if between is None and name in ("kT", "mass"):
             return getattr(self, name)
@@ -148,7 +161,10 @@ class Fluid:
         groups = None if between is None else _groups(between)
         chosen = tuple(i for i in self.interactions if groups in (None, i.groups))
         if not chosen:
-            raise ValueError(f"no interaction between {between}; there are {', '.join(str(i.groups) for i in self.interactions)}")
+            raise ValueError(
+                f"no interaction between {between}; there are "
+                f"{', '.join(str(i.groups) for i in self.interactions)}"
+            )
         return chosen
 
     def batch_axes(self) -> "Fluid":
@@ -158,13 +174,21 @@ class Fluid:
         """
 
         def axes(t: Term) -> Term:
-            coefficients = {k: 0 if jnp.ndim(c) in (1, 3) else None for k, c in t.coefficients.items()}
+            coefficients = {
+                k: 0 if jnp.ndim(c) in (1, 3) else None for k, c in t.coefficients.items()
+            }
             return dataclasses.replace(t, coefficients=coefficients, cut=None)
 
         one_more = lambda value, least: 0 if jnp.ndim(value) == least + 1 else None
         of_each = lambda values: tuple(None if x is None else one_more(x, 0) for x in values)
         interactions = tuple(i.map_terms(axes) for i in self.interactions)
-        return Fluid(interactions, one_more(self.kT, 0), one_more(self.mass, 1), of_each(self.radius), of_each(self.inertia))
+        return Fluid(
+            interactions,
+            one_more(self.kT, 0),
+            one_more(self.mass, 1),
+            of_each(self.radius),
+            of_each(self.inertia),
+        )
 
     @property
     def is_batch(self) -> bool:
@@ -174,14 +198,16 @@ class Fluid:
     def set(self, *, between=None, energies: str | None = None, **numbers) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
-        ``between``: the two species (or groups of species) whose terms alone take them. ``kT``, ``mass`` and ``inertia``
-        are set the same way, of the whole fluid; ``inertia`` of all species that rotate, which a new mass leaves as it
-        is. Raises TypeError for a name that no term knows, ValueError for a value that no fluid can have.
+        ``between``: the two species (or groups of species) whose terms alone take them. ``kT``,
+        ``mass`` and ``inertia`` are set the same way, of the whole fluid; ``inertia`` of all
+        species that rotate, which a new mass leaves as it is. Raises TypeError for a name that no
+        term knows, ValueError for a value that no fluid can have.
 
-        ``energies``: what a new ``kT`` does to the potentials. ``"keep"`` leaves their coefficients as they are, so that a
-        repulsion of 25 kT is one of 250 at a tenth of kT; ``"scale"`` keeps them the same in kT, for laws that declare what
-        they are ``dpd.proportional_to``. A plain new ``kT`` alone keeps them with a warning; a scan, a traced
-        number, or zero keeps them without.
+        ``energies``: what a new ``kT`` does to the potentials. ``"keep"`` leaves their coefficients
+        as they are, so that a repulsion of 25 kT is one of 250 at a tenth of kT; ``"scale"`` keeps
+        them the same in kT, for laws that declare what they are ``dpd.proportional_to``. A plain
+        new ``kT`` alone keeps them with a warning; a scan, a traced number, or zero keeps them
+        without.
         """
         if energies not in (None, "keep", "scale"):
             raise ValueError(f'energies is {energies!r}; it is "keep" or "scale"')
@@ -202,7 +228,9 @@ class Fluid:
         for name, value in numbers.items():
             check_table(name, number(value, name), self.species)
         groups = [i.groups for i in chosen]
-        changed = lambda i: i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
+        changed = lambda i: (
+            i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
+        )
         interactions = _scaled(self, kT, given) if energies == "scale" else self.interactions
         return Fluid(tuple(map(changed, interactions)), kT, mass, self.radius, inertia)
 
@@ -211,7 +239,9 @@ class Fluid:
         return ("kT", "mass", "inertia") if self.rotating else ("kT", "mass")
 
 
-def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term] = (), random=None) -> Interaction:
+def interaction(
+    between, conservative: Sequence[Term] = (), drag: Sequence[Term] = (), random=None
+) -> Interaction:
     """What acts between two groups of beads, or within one.
 
     Args:
@@ -219,11 +249,11 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
             ``((0, 1), 2)``; twice the same for the pairs within a group.
         conservative: potentials of the gap between the surfaces.
         drag: frictions.
-        random: frictions from which the noise follows; by default those of ``drag``, which keeps the
-            temperature. Give others only to reproduce what was computed with them.
+        random: frictions from which the noise follows; by default those of ``drag``, which keeps
+            the temperature. Give others only to reproduce what was computed with them.
 
-    Raises ValueError for groups that overlap, without any term, or for a law that declares itself of the other kind; TypeError
-    for what is not a term.
+    Raises ValueError for groups that overlap, without any term, or for a law that declares itself
+    of the other kind; TypeError for what is not a term.
     """
     parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
     for terms, kind in zip(parts, (POTENTIAL, FRICTION, FRICTION)):
@@ -231,9 +261,14 @@ def interaction(between, conservative: Sequence[Term] = (), drag: Sequence[Term]
             check_kind(t.law, kind)
     for t in parts[0]:
         if t.projector != CENTRAL:
-            raise ValueError(f"{t.law.__name__} is {t.projector}, and the force of a potential is central: give it as a drag")
+            raise ValueError(
+                f"{t.law.__name__} is {t.projector}, and the force of a potential is central: give "
+                "it as a drag"
+            )
     if not parts[0] + parts[1]:
-        raise ValueError("a fluid without terms does nothing; give conservative=[...] or drag=[...]")
+        raise ValueError(
+            "a fluid without terms does nothing; give conservative=[...] or drag=[...]"
+        )
     return Interaction(parts[0], parts[1], None if random is None else parts[2], _groups(between))
 
 
@@ -251,16 +286,18 @@ def fluid(
     """A fluid of one group of beads, of one or several species, or of several groups.
 
     Args:
-        conservative: potentials between all beads, e.g. ``[dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)]``.
-        drag: frictions between all beads, e.g. ``[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)]``.
+        conservative: potentials between all beads, e.g. ``[dpd.term(dpd.soft_repulsion, a=25.0,
+            r_c=1.0)]``.
+        drag: frictions between all beads, e.g. ``[dpd.term(dpd.central_drag, gamma=4.5,
+            r_c=1.0)]``.
         kT: thermal energy [energy], zero or above.
         mass: bead mass, a number or one for each species [mass].
         radius: of each species, None for points [length]; laws see the gap between the surfaces.
-        inertia: of each species its moment of inertia [mass length^2], None where it does not rotate. What rotates has
-            a radius; frictions that are not central turn it.
+        inertia: of each species its moment of inertia [mass length^2], None where it does not
+            rotate. What rotates has a radius; frictions that are not central turn it.
         species: how many; read off the tables, ``mass`` and ``radius`` where not given.
-        interactions: of several groups, each with its own terms and its own list of neighbours, in place
-            of ``conservative`` and ``drag``; from :func:`interaction`.
+        interactions: of several groups, each with its own terms and its own list of neighbours, in
+            place of ``conservative`` and ``drag``; from :func:`interaction`.
 
     Raises:
         ValueError: negative ``kT`` or ``gamma``, mass, radius or inertia not above zero, tables of
@@ -271,7 +308,9 @@ def fluid(
     terms = [t for i in interactions for t in i.terms]
     if conservative or drag or not interactions:
         if interactions:
-            raise ValueError("give either interactions=[...], or conservative= and drag= between all beads")
+            raise ValueError(
+                "give either interactions=[...], or conservative= and drag= between all beads"
+            )
         alone = interaction((0, 0), conservative, drag)
         terms = alone.terms
     groups = [k for i in interactions for group in i.groups for k in group]
@@ -289,19 +328,28 @@ def _groups(between) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Both groups as tuples of species, the lower first."""
     if not hasattr(between, "__len__") or len(between) != 2:
         raise ValueError(f"between is {between}; give two species, or two groups of species")
-    first, second = sorted((int(k),) if np.ndim(k) == 0 else tuple(int(s) for s in k) for k in between)
+    first, second = sorted(
+        (int(k),) if np.ndim(k) == 0 else tuple(int(s) for s in k) for k in between
+    )
     for group in (first, second):
         if not group or group != tuple(range(group[0], group[-1] + 1)):
             raise ValueError(f"{group} is no group: give species that follow one another")
     if first != second and set(first) & set(second):
-        raise ValueError(f"the groups {first} and {second} share a species: make them equal, or apart")
+        raise ValueError(
+            f"the groups {first} and {second} share a species: make them equal, or apart"
+        )
     return first, second
 
 
 def _check_groups(interactions):
-    labels = [{t.origin for i in interactions for t in getattr(i, kind)} - {None} for kind in ORIGINS[:2]]
+    labels = [
+        {t.origin for i in interactions for t in getattr(i, kind)} - {None} for kind in ORIGINS[:2]
+    ]
     if labels[0] & labels[1]:
-        raise ValueError(f"the origin {', '.join(labels[0] & labels[1])} is that of a potential and of a friction: give two names")
+        raise ValueError(
+            f"the origin {', '.join(labels[0] & labels[1])} is that of a potential and of a "
+            "friction: give two names"
+        )
     seen = set()
     for i in interactions:
         if i.groups in seen:
@@ -310,14 +358,25 @@ def _check_groups(interactions):
 
 
 def _warn_of_energies(fluid, kT, given):
-    """Tell once for each place in a program that potentials stay while kT changes, where neither is said."""
-    strengths = {name for i in fluid.interactions for t in i.conservative for name in t.coefficients}
-    if not strengths or strengths & given or not is_concrete(kT, fluid.kT) or jnp.ndim(kT) or not np.all(np.asarray(kT) > 0):
+    """Tell once for each place in a program that potentials stay while kT changes, where neither is
+    said."""
+    strengths = {
+        name for i in fluid.interactions for t in i.conservative for name in t.coefficients
+    }
+    if (
+        not strengths
+        or strengths & given
+        or not is_concrete(kT, fluid.kT)
+        or jnp.ndim(kT)
+        or not np.all(np.asarray(kT) > 0)
+    ):
         return
     if not np.array_equal(kT, fluid.kT):
         warnings.warn(
-            f"kT is now {float(kT):.9g} and was {float(fluid.kT):.9g}, and potentials keep their coefficients, "
-            'so that they are others in kT: say energies="keep" if that is meant, energies="scale" to keep them the same in kT',
+            f"kT is now {float(kT):.9g} and was {float(fluid.kT):.9g}, and potentials keep their "
+            "coefficients, "
+            'so that they are others in kT: say energies="keep" if that is meant, '
+            'energies="scale" to keep them the same in kT',
             stacklevel=3,
         )
 
@@ -325,24 +384,36 @@ def _warn_of_energies(fluid, kT, given):
 def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
     """The interactions with every potential scaled by the new kT over the old one."""
     if is_concrete(fluid.kT) and not np.all(np.asarray(fluid.kT) > 0):
-        raise ValueError('kT was 0, and energies="scale" has nothing to scale by: set the coefficients')
+        raise ValueError(
+            'kT was 0, and energies="scale" has nothing to scale by: set the coefficients'
+        )
 
     def scaled(t: Term) -> Term:
         name = getattr(t.law, "strength", None)
         if name is None and not given & set(t.coefficients):
             raise ValueError(
-                f"{name_of(t.law)} does not say which coefficient it is proportional to: mark it with "
+                f"{name_of(t.law)} does not say which coefficient it is proportional to: mark it "
+                "with "
                 '@dpd.proportional_to("..."), or give that coefficient beside kT'
             )
-        return t if name not in t.coefficients else replace_coefficients(t, {name: t.coefficients[name] * (kT / fluid.kT)})
+        return (
+            t
+            if name not in t.coefficients
+            else replace_coefficients(t, {name: t.coefficients[name] * (kT / fluid.kT)})
+        )
 
-    return tuple(dataclasses.replace(i, conservative=tuple(map(scaled, i.conservative))) for i in fluid.interactions)
+    return tuple(
+        dataclasses.replace(i, conservative=tuple(map(scaled, i.conservative)))
+        for i in fluid.interactions
+    )
 
 
 def _masses(mass, species):
     mass = positive(mass, "mass")
     if mass.ndim > 1 or (mass.ndim == 1 and mass.shape[0] != species):
-        raise ValueError(f"mass has shape {mass.shape}; give a number or {species} of them, one for each species")
+        raise ValueError(
+            f"mass has shape {mass.shape}; give a number or {species} of them, one for each species"
+        )
     return jnp.broadcast_to(mass, (species,))
 
 
@@ -355,14 +426,24 @@ def _of_each(values, species, name) -> tuple:
 def _check_rotation(radius, inertia):
     turning = [k for k, x in enumerate(inertia) if x is not None]
     if turning and turning != list(range(turning[0], turning[-1] + 1)):
-        raise ValueError(f"the species {turning} rotate; give inertia to species that follow one another")
+        raise ValueError(
+            f"the species {turning} rotate; give inertia to species that follow one another"
+        )
     for k in turning:
         if radius[k] is None:
-            raise ValueError(f"species {k} has an inertia and no radius: a point does not rotate; give it a radius")
+            raise ValueError(
+                f"species {k} has an inertia and no radius: a point does not rotate; give it a "
+                "radius"
+            )
 
 
 def _count_species(terms, mass, radius, inertia, species, groups):
-    sizes = {value.shape[0]: name for t in terms for name, value in t.coefficients.items() if value.ndim == 2}
+    sizes = {
+        value.shape[0]: name
+        for t in terms
+        for name, value in t.coefficients.items()
+        if value.ndim == 2
+    }
     if np.ndim(mass) == 1:
         sizes.setdefault(np.shape(mass)[0], "mass")
     for name, values in (("radius", radius), ("inertia", inertia)):
@@ -373,7 +454,9 @@ def _count_species(terms, mass, radius, inertia, species, groups):
     if species is not None:
         sizes.setdefault(species, "species")
     if len(sizes) > 1:
-        raise ValueError("numbers of species disagree: " + ", ".join(f"{n} has {k}" for k, n in sizes.items()))
+        raise ValueError(
+            "numbers of species disagree: " + ", ".join(f"{n} has {k}" for k, n in sizes.items())
+        )
     return next(iter(sizes), 1)
 
 
@@ -389,16 +472,28 @@ def _agreed(name, found):
         return first * jnp.where(same, 1.0, jnp.nan).astype(first.dtype)
     if alike and all(np.array_equal(v, first) for v in values):
         return first
-    told = "; ".join(f"{_shown(v)} of {name_of(t.law)} between {i.groups}" for v, (i, t) in zip(values, found))
-    raise ValueError(f"the terms of this fluid disagree on {name!r}: {told}. Ask for one, fluid.value({name!r}, between=(0, 0))")
+    told = "; ".join(
+        f"{_shown(v)} of {name_of(t.law)} between {i.groups}" for v, (i, t) in zip(values, found)
+    )
+    raise ValueError(
+        f"the terms of this fluid disagree on {name!r}: {told}. Ask for one, fluid.value({name!r}, "
+        "between=(0, 0))"
+    )
 
 
 def _shown(value) -> str:
-    return str(np.asarray(value).tolist()) if is_concrete(value) else f"a traced number of shape {jnp.shape(value)}"
+    return (
+        str(np.asarray(value).tolist())
+        if is_concrete(value)
+        else f"a traced number of shape {jnp.shape(value)}"
+    )
 
 
 def _unknown(name, fluid, between=None):
     if between is None:
-        return f"no term of this fluid has {name!r}; it has {', '.join((*fluid._own_numbers, *fluid.coefficients))}"
+        return (
+            f"no term of this fluid has {name!r}; it has "
+            f"{', '.join((*fluid._own_numbers, *fluid.coefficients))}"
+        )
     known = sorted({k for i in fluid._between(between) for t in i.terms for k in t.coefficients})
     return f"no term between {between} has {name!r}; they have {', '.join(known)}"

@@ -10,7 +10,14 @@ For point beads the gap is the centre distance.
 
 import jax.numpy as jnp
 
-from dpdjax.model.declare import TRANSVERSE, bounded, friction, potential, projected, proportional_to
+from dpdjax.model.declare import (
+    TRANSVERSE,
+    bounded,
+    friction,
+    potential,
+    projected,
+    proportional_to,
+)
 
 
 @potential
@@ -53,9 +60,10 @@ def power_drag(h, *, gamma, r_c, s):
 @projected(TRANSVERSE)
 @bounded(gamma_t="not negative", r_c="positive")
 def transverse_drag(h, *, gamma_t, r_c):
-    """Friction ``gamma_t (1 - h/r_c)**2`` across the line of centres (Junghans, Praprotnik & Kremer 2008, eqs. 3 and 4).
+    """Friction ``gamma_t (1 - h/r_c)**2`` across the line of centres (Junghans, Praprotnik & Kremer
+    2008, eqs. 3 and 4).
 
-    Raises the Schmidt number of a solvent, and its viscosity once that is carried by drag more than by beads; keeps momentum,
-    not angular momentum. ``gamma_t`` [mass / time].
+    Raises the Schmidt number of a solvent, and its viscosity once that is carried by drag more than
+    by beads; keeps momentum, not angular momentum. ``gamma_t`` [mass / time].
     """
     return gamma_t * (1.0 - h / r_c) ** 2

@@ -2,12 +2,21 @@
 
 import jax.numpy as jnp
 
-from dpdjax.model.declare import FULL, bounded, friction, potential, projected, proportional_to, reaches
+from dpdjax.model.declare import (
+    FULL,
+    bounded,
+    friction,
+    potential,
+    projected,
+    proportional_to,
+    reaches,
+)
 
 WIDEST = 2 ** (1 / 6)
 """Where the Lennard-Jones potential is lowest, in sigma."""
 STEEPEST = 0.5
-"""Distance in sigma below which the potential goes on as a straight line: no bead gets there, and one put there is pushed out."""
+"""Distance in sigma below which the potential goes on as a straight line: no bead gets there, and
+one put there is pushed out."""
 
 
 @potential
@@ -15,12 +24,14 @@ STEEPEST = 0.5
 @proportional_to("epsilon")
 @bounded(epsilon="not negative", sigma="positive")
 def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
-    """Lennard-Jones repulsion of the distance ``r - r_0`` between centre and shell [energy] (Zhou & Schmid 2015, eq. 5).
+    """Lennard-Jones repulsion of the distance ``r - r_0`` between centre and shell [energy] (Zhou &
+    Schmid 2015, eq. 5).
 
-    ``4 epsilon [(sigma/(r - r_0))^12 - (sigma/(r - r_0))^6 + 1/4]``, cut where it vanishes, at ``r - r_0 = 2^(1/6) sigma``
-    (the cut printed there, ``sigma``, leaves a jump of ``epsilon``).
+    ``4 epsilon [(sigma/(r - r_0))^12 - (sigma/(r - r_0))^6 + 1/4]``, cut where it vanishes, at
+    ``r - r_0 = 2^(1/6) sigma`` (the cut printed there, ``sigma``, leaves a jump of ``epsilon``).
     """
-    # A power of a negative number of whole sixths has no slope problem, but beads inside must be pushed out, not in.
+    # A power of a negative number of whole sixths has no slope problem, but beads inside must be
+    # pushed out, not in.
     x = (h + R_i + R_j - r_0) / sigma
     y = jnp.maximum(x, STEEPEST) ** -6
     least = STEEPEST**-6
@@ -33,10 +44,11 @@ def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
 @reaches(lambda *, r_c: r_c)
 @bounded(gamma_cs="not negative", r_c="positive")
 def surface_drag(h, *, gamma_cs, r_c):
-    """Friction ``gamma_cs (1 - |h|/r_c)^2`` of a solvent bead and the surface next to it (Zhou & Schmid 2015, eq. 12).
+    """Friction ``gamma_cs (1 - |h|/r_c)^2`` of a solvent bead and the surface next to it (Zhou &
+    Schmid 2015, eq. 12).
 
-    The gap ``|h| = |r - R|`` is the distance from the bead to the surface. Acts on the whole relative velocity unless told
-    otherwise: ``dpd.term(dpd.surface_drag, projector="central", ...)`` is their eq. 8, ``"transverse"`` their eq. 10.
-    ``gamma_cs`` [mass / time] tunes slip.
+    The gap ``|h| = |r - R|`` is the distance from the bead to the surface. Acts on the whole
+    relative velocity unless told otherwise: ``dpd.term(dpd.surface_drag, projector="central",
+    ...)`` is their eq. 8, ``"transverse"`` their eq. 10. ``gamma_cs`` [mass / time] tunes slip.
     """
     return gamma_cs * jnp.maximum(1.0 - jnp.abs(h) / r_c, 0.0) ** 2

@@ -34,47 +34,67 @@ def marble_fluid(
     attraction: Term | Sequence[Term] = (),
     friction: Term | Sequence[Term] = (),
 ) -> Fluid:
-    """Solvent beads (species 0) and large spheres (species 1) that rotate, and whose surface drags the solvent.
+    """Solvent beads (species 0) and large spheres (species 1) that rotate, and whose surface drags
+    the solvent.
 
-    | pair           | conservative                         | drag                                        |
-    |----------------|--------------------------------------|---------------------------------------------|
-    | solvent-solvent| ``soft_repulsion``, if ``a`` is given | ``central_drag``, and ``transverse_drag``, if ``gamma_t`` is |
-    | marble-solvent | ``shifted_repulsion``                | ``surface_drag`` with the projector ``coupling`` |
-    | marble-marble  | ``shifted_repulsion``, ``attraction`` | ``friction``                                |
+    | pair            | conservative                          | drag                             |
+    |-----------------|---------------------------------------|----------------------------------|
+    | solvent-solvent | ``soft_repulsion``, given ``a``       | ``central_drag``, and            |
+    |                 |                                       | ``transverse_drag``, given       |
+    |                 |                                       | ``gamma_t``                      |
+    | marble-solvent  | ``shifted_repulsion``                 | ``surface_drag``, with the       |
+    |                 |                                       | projector ``coupling``           |
+    | marble-marble   | ``shifted_repulsion``, ``attraction`` | ``friction``                     |
 
-    Full coupling acts at the point of the surface next to the bead, which moves with the sphere and turns with it; it
-    goes from full slip at ``gamma_cs = 0`` towards none. Momentum is conserved, angular momentum is not: force and
-    reaction have different arms.
+    Full coupling acts at the point of the surface next to the bead, which moves with the sphere and
+    turns with it; it goes from full slip at ``gamma_cs = 0`` towards none. Momentum is conserved,
+    angular momentum is not: force and reaction have different arms.
 
     Args:
         kT: thermal energy [energy].
         gamma, gamma_cs: friction of the solvent and of the surface [mass/time].
-        coupling: ``"full"``, ``"transverse"``, or ``"central"``, which exerts no torque: the marble spins as it started.
+        coupling: ``"full"``, ``"transverse"``, or ``"central"``, which exerts no torque: the marble
+            spins as it started.
         a: soft repulsion of the solvent [energy/length]; none by default.
         gamma_t: transverse friction of the solvent [mass/time]; none by default.
         radius: of a marble [length]; 3 r_c by default.
-        density: solvent beads per volume, 3/r_c^3 by default; a marble is as heavy as what it displaces.
+        density: solvent beads per volume, 3/r_c^3 by default; a marble is as heavy as what it
+            displaces.
         r_c: reach of the solvent's forces and of the surface's drag [length].
         solvent_mass: of a solvent bead [mass].
-        epsilon, sigma, r_0: of the repulsion of a marble and solvent [energy, length, length]; ``kT``, ``r_c`` and
-            ``radius - sigma`` by default. Two marbles repel alike, from ``2 radius - sigma`` on.
-        mass, inertia: of a marble; ``4 pi radius^3 density solvent_mass/3`` and ``2/5 mass radius^2`` by default.
+        epsilon, sigma, r_0: of the repulsion of a marble and solvent [energy, length, length];
+            ``kT``, ``r_c`` and ``radius - sigma`` by default. Two marbles repel alike, from
+            ``2 radius - sigma`` on.
+        mass, inertia: of a marble; ``4 pi radius^3 density solvent_mass/3`` and
+            ``2/5 mass radius^2`` by default.
         is_several: whether there is more than one, so that they need a list of their own.
-        attraction, friction: further potentials and frictions between marbles, such as those of ``dpd.colloid_fluid``.
+        attraction, friction: further potentials and frictions between marbles, such as those of
+            ``dpd.colloid_fluid``.
 
-    Raises ValueError for numbers no fluid can have, an unknown coupling, forces between marbles of which there is one.
+    Raises ValueError for numbers no fluid can have, an unknown coupling, forces between marbles of
+    which there is one.
     """
-    kT, r_c, solvent_mass = not_negative(kT, "kT"), positive(r_c, "r_c"), positive(solvent_mass, "solvent_mass")
+    kT, r_c, solvent_mass = (
+        not_negative(kT, "kT"),
+        positive(r_c, "r_c"),
+        positive(solvent_mass, "solvent_mass"),
+    )
     radius = positive(3.0 * r_c if radius is None else radius, "radius")
     if coupling not in PROJECTORS:
         raise ValueError(f"coupling is {coupling!r}; it is one of {', '.join(PROJECTORS)}")
     density = positive(3.0 / r_c**3 if density is None else density, "density")
     sigma = positive(r_c if sigma is None else sigma, "sigma")
-    epsilon = positive(kT, "kT", "or give epsilon=, which is kT by default") if epsilon is None else epsilon
+    epsilon = (
+        positive(kT, "kT", "or give epsilon=, which is kT by default")
+        if epsilon is None
+        else epsilon
+    )
     attraction, friction = several(attraction), several(friction)
     if (attraction or friction) and not is_several:
         raise ValueError("attraction and friction act between marbles: give is_several=True")
-    mass = solvent_mass * density * sphere_volume(radius) if mass is None else positive(mass, "mass")
+    mass = (
+        solvent_mass * density * sphere_volume(radius) if mass is None else positive(mass, "mass")
+    )
     inertia = 0.4 * mass * radius**2 if inertia is None else inertia
     wall = {"epsilon": epsilon, "sigma": sigma}
     among = [
@@ -89,7 +109,9 @@ def marble_fluid(
         steric = term(shifted_repulsion, r_0=2.0 * radius - sigma, **wall, origin="contact")
         among.append(interaction((COLLOID, COLLOID), [steric, *attraction], friction))
     masses = jnp.stack(jnp.broadcast_arrays(solvent_mass, mass))
-    return fluid(interactions=among, kT=kT, mass=masses, radius=(None, radius), inertia=(None, inertia))
+    return fluid(
+        interactions=among, kT=kT, mass=masses, radius=(None, radius), inertia=(None, inertia)
+    )
 
 
 def _solvent(gamma, gamma_t, a, r_c):

@@ -24,7 +24,9 @@ def full(fluid) -> str:
     for i in fluid.interactions:
         for t in i.terms:
             numbers = ", ".join(f"{k} {written(c)}" for k, c in t.coefficients.items())
-            energies = f": {energies_in_kT(fluid, i, t)}" if any(t is u for u in i.conservative) else ""
+            energies = (
+                f": {energies_in_kT(fluid, i, t)}" if any(t is u for u in i.conservative) else ""
+            )
             lines.append(f"{_groups(i)}  {name_of(t.law)}, {numbers}{energies}")
     return "\n".join(lines)
 
@@ -39,12 +41,15 @@ def energies_in_kT(fluid, interaction, term) -> str:
 
 
 def depth_in_kT(fluid, interaction, term) -> tuple[float, float, float]:
-    """Energy of a potential at contact and its depth [kT], and the gap where it is deepest [length].
+    """Energy of a potential at contact and its depth [kT], and the gap where it is deepest
+    [length].
 
     Of scans and tables the largest coefficients count, and the lowest kT.
     """
     kT = float(np.min(np.asarray(fluid.kT)))
-    radius = lambda group: max(0.0 if fluid.radius[k] is None else float(np.max(fluid.radius[k])) for k in group)
+    radius = lambda group: max(
+        0.0 if fluid.radius[k] is None else float(np.max(fluid.radius[k])) for k in group
+    )
     R_i, R_j = map(radius, interaction.groups)
     law, reach = term.between(np.max, R_i=R_i, R_j=R_j, kT=kT)
     h = jnp.asarray(GAPS * float(reach))
@@ -65,7 +70,9 @@ def of_term(term) -> str:
 
 def is_known(*values) -> bool:
     """Whether all leaves are numbers: not traced, not shapes, not the axes of a batch."""
-    return is_concrete(values) and all(hasattr(leaf, "__array__") for leaf in jax.tree.leaves(values))
+    return is_concrete(values) and all(
+        hasattr(leaf, "__array__") for leaf in jax.tree.leaves(values)
+    )
 
 
 def span(value) -> str:
@@ -77,13 +84,20 @@ def span(value) -> str:
 
 
 def written(value) -> str:
-    """A number, or the numbers of a table or a scan; of what is no number, such as the axes of a batch, what Python says."""
+    """A number, or the numbers of a table or a scan; of what is no number, such as the axes of a
+    batch, what Python says."""
     if not is_concrete(value):
         return f"traced {jnp.shape(value)}"
     if not isinstance(value, (int, float)) and not hasattr(value, "__array__"):
         return repr(value)
-    return f"{float(value):.6g}" if jnp.ndim(value) == 0 else np.array2string(np.asarray(value), precision=6, separator=", ")
+    return (
+        f"{float(value):.6g}"
+        if jnp.ndim(value) == 0
+        else np.array2string(np.asarray(value), precision=6, separator=", ")
+    )
 
 
 def _groups(interaction) -> str:
-    return "-".join("".join(map(str, group)) if len(group) == 1 else str(group) for group in interaction.groups)
+    return "-".join(
+        "".join(map(str, group)) if len(group) == 1 else str(group) for group in interaction.groups
+    )

@@ -43,10 +43,12 @@ DIMENSIONS = {
 
 FORMAL = "the mass unit is formal, so inertia and sound are not"
 NOTES = {
-    "thermal": "length, bead mass and kT are those of water; diffusion (too fast) and viscosity (too low) are not",
+    "thermal": "length, bead mass and kT are those of water; diffusion (too fast) and viscosity "
+    "(too low) are not",
     "diffusion": f"length, kT and diffusion are those of water; {FORMAL}",
     "viscosity_energy": f"length, kT and viscosity are those of water; {FORMAL}",
-    "viscosity_mass": "length, bead mass and viscosity are those of water; the energy unit is not kT: nothing thermal is",
+    "viscosity_mass": "length, bead mass and viscosity are those of water; the energy unit is not "
+    "kT: nothing thermal is",
 }
 
 
@@ -86,7 +88,8 @@ class Units:
         return self.length**length * self.mass**mass * self.time**time
 
     def to_si(self, value, dimension: str):
-        """A number, array or ``Estimate`` in DPD units as SI, ``to_si(0.85, "viscosity")`` [Pa s]."""
+        """A number, array or ``Estimate`` in DPD units as SI, ``to_si(0.85, "viscosity")`` [Pa
+        s]."""
         return _times(value, self.scale(dimension))
 
     def from_si(self, value, dimension: str):
@@ -111,12 +114,12 @@ def water_units(
     The length is ``r_c = (density molecules 30 A^3)^(1/3)``, 6.463 A; beads at ``density``
     then weigh 996 kg/m^3. The time depends on what is to be matched:
 
-    | ``time``           | one time unit                        |         | mass unit   | energy unit |
-    |--------------------|--------------------------------------|---------|-------------|-------------|
-    | "thermal"          | r_c sqrt(m / E)                      | 3.02 ps | bead m      | E           |
-    | "diffusion"        | molecules D r_c^2 / D_water          | 88 ps   | 850 beads   | E           |
-    | "viscosity_energy" | eta_water r_c^3 / (eta E)            | 77 ps   | 650 beads   | E           |
-    | "viscosity_mass"   | eta m / (eta_water r_c)              | 0.12 ps | bead m      | 650 E       |
+    | ``time``           | one time unit               |         | mass unit   | energy unit |
+    |--------------------|-----------------------------|---------|-------------|-------------|
+    | "thermal"          | r_c sqrt(m / E)             | 3.02 ps | bead m      | E           |
+    | "diffusion"        | molecules D r_c^2 / D_water | 88 ps   | 850 beads   | E           |
+    | "viscosity_energy" | eta_water r_c^3 / (eta E)   | 77 ps   | 650 beads   | E           |
+    | "viscosity_mass"   | eta m / (eta_water r_c)     | 0.12 ps | bead m      | 650 E       |
 
     with ``E = k_B temperature / kT``. What each gives up:
 
@@ -143,15 +146,26 @@ def water_units(
         diffusion: D of the fluid in its own units; 0.171 is Groot & Rabone's. The value
             measured at a = 25, gamma = 4.5 is near 0.3, which makes 150 ps.
         viscosity: eta of the fluid in its own units.
-        water_diffusion: of water molecules [m^2/s]; Groot & Rabone's, measured ones are near 2.3e-9.
+        water_diffusion: of water molecules [m^2/s]; Groot & Rabone's, measured ones are near
+            2.3e-9.
         water_viscosity: [Pa s]; rounded, it is 0.89e-3 at 298 K.
 
     Raises ValueError for another name of ``time`` or a number not above zero.
     """
     if time not in NOTES:
         raise ValueError(f"no time unit {time!r}; there are {', '.join(NOTES)}")
-    given = {"molecules": molecules, "density": density, "temperature": temperature, "kT": kT, "diffusion": diffusion}
-    given |= {"viscosity": viscosity, "water_diffusion": water_diffusion, "water_viscosity": water_viscosity}
+    given = {
+        "molecules": molecules,
+        "density": density,
+        "temperature": temperature,
+        "kT": kT,
+        "diffusion": diffusion,
+    }
+    given |= {
+        "viscosity": viscosity,
+        "water_diffusion": water_diffusion,
+        "water_viscosity": water_viscosity,
+    }
     for name, value in given.items():
         positive(value, name)
     length = (density * molecules * MOLECULE_VOLUME) ** (1 / 3)
@@ -184,7 +198,10 @@ def water(*, a=None, gamma=4.5, kT=1.0, r_c=1.0, mass=1.0) -> Fluid:
     """
     if a is None:
         a = 25.0 * positive(kT, "kT", "or give a=...") / positive(r_c, "r_c")
-    conservative, drag = term(soft_repulsion, a=a, r_c=r_c), term(central_drag, gamma=gamma, r_c=r_c)
+    conservative, drag = (
+        term(soft_repulsion, a=a, r_c=r_c),
+        term(central_drag, gamma=gamma, r_c=r_c),
+    )
     return fluid(conservative=[conservative], drag=[drag], kT=kT, mass=mass)
 
 
@@ -201,7 +218,10 @@ def repulsion_from_compressibility(inverse_compressibility, kT=1.0, density=3.0)
     """
     stiffness = positive(inverse_compressibility, "inverse_compressibility")
     if is_concrete(stiffness) and (stiffness < 1).any():
-        raise ValueError(f"inverse_compressibility is {inverse_compressibility}; an ideal gas has 1, repulsion adds to it")
+        raise ValueError(
+            f"inverse_compressibility is {inverse_compressibility}; an ideal gas has 1, repulsion "
+            "adds to it"
+        )
     return positive(kT, "kT") * (stiffness - 1.0) / (0.2 * positive(density, "density"))
 
 

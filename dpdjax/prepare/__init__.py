@@ -1,1 +1,2 @@
-"""How the matter starts: beads placed, spheres packed, suspensions and marbles; the engine knows nothing of it."""
+"""How the matter starts: beads placed, spheres packed, suspensions and marbles; the engine knows
+nothing of it."""

@@ -1,4 +1,5 @@
-"""How close beads may start: distances below which potentials are more than thermal, and which laws diverge."""
+"""How close beads may start: distances below which potentials are more than thermal, and which laws
+diverge."""
 
 import jax
 import numpy as np
@@ -9,7 +10,8 @@ from dpdjax.model.fluid import Fluid
 START_ENERGY = 3.0
 """Energy of a pair [kT] up to which beads are placed next to each other."""
 HARD, STEEP = 1e3, 20.0
-"""A potential is a core where it reaches this energy [kT], and falls by this factor from contact to half of its reach."""
+"""A potential is a core where it reaches this energy [kT], and falls by this factor from contact to
+half of its reach."""
 
 
 def closest(fluid: Fluid, only_cores: bool = False, most: float = START_ENERGY) -> np.ndarray:
@@ -27,7 +29,8 @@ def closest(fluid: Fluid, only_cores: bool = False, most: float = START_ENERGY) 
 
 
 def start_radii(fluid: Fluid) -> np.ndarray:
-    """Radii (species,) that keep every two beads apart by their cores where spheres of these radii do not overlap [length]."""
+    """Radii (species,) that keep every two beads apart by their cores where spheres of these radii
+    do not overlap [length]."""
     gaps = closest(fluid, only_cores=True)
     real = np.array([0.0 if r is None else float(r) for r in fluid.radius])
     radii = real + np.diag(gaps) / 2
@@ -56,7 +59,8 @@ def _is_core(gaps, energy, kT):
 
 
 def _surveyed(fluid):
-    """Of each interaction the species of its kinds of pairs, (kinds, 2), and gaps and energies (kinds, samples).
+    """Of each interaction the species of its kinds of pairs, (kinds, 2), and gaps and energies
+    (kinds, samples).
 
     Of pairs that touch or are apart; what is no number there is a wall.
     """

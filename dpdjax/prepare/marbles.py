@@ -45,7 +45,8 @@ class Marbles:
 
     @property
     def share(self) -> float:
-        """Mass of the marbles over that of all beads; where there is one, ``<v^2> = 3 kT/M (1 - share)``."""
+        """Mass of the marbles over that of all beads; where there is one,
+        ``<v^2> = 3 kT/M (1 - share)``."""
         solvent, marble = np.asarray(self.fluid.mass, float)
         return float(self.count * marble / (self.count * marble + self.solvents * solvent))
 
@@ -54,9 +55,10 @@ class Marbles:
         mass, inertia = float(self.fluid.mass[COLLOID]), float(self.fluid.inertia[COLLOID])
         return "\n".join(
             [
-                f"{self.count} marble{'s' if self.count > 1 else ''} and {self.solvents} solvent beads in {sides}",
-                f"marbles: radius {float(self.fluid.radius[COLLOID]):g}, mass {mass:.4g} ({100 * self.share:.3g} % of the whole), "
-                f"inertia {inertia:.4g}",
+                f"{self.count} marble{'s' if self.count > 1 else ''} and {self.solvents} solvent "
+                f"beads in {sides}",
+                f"marbles: radius {float(self.fluid.radius[COLLOID]):g}, mass {mass:.4g} "
+                f"({100 * self.share:.3g} % of the whole), inertia {inertia:.4g}",
                 *self._energies(),
                 f"kT {float(self.fluid.kT):g}, {self._frictions()}, dt {self.dt:.4g}",
             ]
@@ -67,23 +69,42 @@ class Marbles:
     def _frictions(self) -> str:
         """The frictions of the solvent with itself and of the surface."""
         among = self.fluid.interactions[:2]
-        numbers = [(k, c) for i in among for t in i.drag for k, c in t.coefficients.items() if k != "r_c"]
+        numbers = [
+            (k, c) for i in among for t in i.drag for k, c in t.coefficients.items() if k != "r_c"
+        ]
         return ", ".join(f"{k} {written(c)}" for k, c in numbers)
 
     def _energies(self) -> list[str]:
         """The potentials of the marbles, in kT."""
         names = ("marble and solvent", "two marbles")
-        told = lambda i: "; ".join(f"{name_of(t.law)} {energies_in_kT(self.fluid, i, t)}" for t in i.conservative)
-        return [f"{name}: {told(i)}" for name, i in zip(names, self.fluid.interactions[1:]) if i.conservative]
+        told = lambda i: "; ".join(
+            f"{name_of(t.law)} {energies_in_kT(self.fluid, i, t)}" for t in i.conservative
+        )
+        return [
+            f"{name}: {told(i)}"
+            for name, i in zip(names, self.fluid.interactions[1:])
+            if i.conservative
+        ]
 
 
 def marbles(
-    key, *, box, count: int = 1, radius=None, density=None, skin=None, dt=None, sheared: bool = False, report=print, **numbers
+    key,
+    *,
+    box,
+    count: int = 1,
+    radius=None,
+    density=None,
+    skin=None,
+    dt=None,
+    sheared: bool = False,
+    report=print,
+    **numbers,
 ) -> Marbles:
     """Large spheres that rotate in a solvent, placed at random.
 
-    ``density (V - V_marbles)`` solvent beads, rounded down, lie outside them. The solvent starts without structure:
-    let it settle for some time units. At rest ``<v^2> = 3 kT/M (1 - M/M_total)`` for each marble, and ``<omega^2> = 3 kT/I``.
+    ``density (V - V_marbles)`` solvent beads, rounded down, lie outside them. The solvent starts
+    without structure: let it settle for some time units. At rest ``<v^2> = 3 kT/M (1 - M/M_total)``
+    for each marble, and ``<omega^2> = 3 kT/I``.
 
     Args:
         key: a PRNG key; the same one may drive the run.
@@ -96,25 +117,38 @@ def marbles(
         report: told what was made; None for silence.
         **numbers: all that :func:`dpdjax.marble_fluid` takes: kT, gamma, gamma_cs, coupling, ...
 
-    Raises ValueError for a box too small for the lists or the marbles, and numbers no fluid can have.
+    Raises ValueError for a box too small for the lists or the marbles, and numbers no fluid can
+    have.
     """
     key = prng_key(key)
     if int(count) != count or count < 1:
         raise ValueError(f"count is {count!r}; it must be a whole number of at least 1")
     r_c = float(positive(numbers.get("r_c", 1.0), "r_c"))
-    radius, density = 3.0 * r_c if radius is None else radius, 3.0 / r_c**3 if density is None else density
+    radius, density = (
+        3.0 * r_c if radius is None else radius,
+        3.0 / r_c**3 if density is None else density,
+    )
     fluid = marble_fluid(radius=radius, density=density, is_several=count > 1, **numbers)
     lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
-    space, volume, radii = boxes.box(lengths), float(np.prod(lengths)), np.full(int(count), float(radius))
+    space, volume, radii = (
+        boxes.box(lengths),
+        float(np.prod(lengths)),
+        np.full(int(count), float(radius)),
+    )
     free = volume - float(sphere_volume(radii).sum())
     if free <= 0:
-        raise ValueError(f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; use a larger box")
+        raise ValueError(
+            f"{count} marbles of radius {float(radius):g} do not fit into a volume of {volume:g}; "
+            "use a larger box"
+        )
     # Outside the wall, where its energy is at most kT.
     clearance = float(closest(fluid, most=1.0)[SOLVENT, COLLOID])
     counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
     dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
     grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)
-    position = packing.arrange(key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance)
+    position = packing.arrange(
+        key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance
+    )
     made = Marbles(fluid, placed(fluid, key, space, position, counts, grids), dt)
     if report is not None:
         report(str(made))

@@ -1,7 +1,8 @@
 """Where a suspension starts: spheres that do not overlap, and points in the room between them.
 
-The spheres are random points pushed apart until every gap is as wide as wanted. Pushes are added
-up as integers, so the outcome does not depend on the order of a list, nor on the device's order of sums.
+The spheres are random points pushed apart until every gap is as wide as wanted. Pushes are added up
+as integers, so the outcome does not depend on the order of a list, nor on the device's order of
+sums.
 """
 
 import functools
@@ -19,7 +20,8 @@ PACK_DOMAIN, FILL_DOMAIN = 4, 5
 """Folded into the key, so that one key may serve spheres, points, velocities and noise."""
 
 DENSEST = 0.6
-"""Volume fraction up to which spheres, each with half a gap around it, are packed: they jam at 0.64 at random."""
+"""Volume fraction up to which spheres, each with half a gap around it, are packed: they jam at 0.64
+at random."""
 WIDEST = 0.62
 """The same for the distance they are pushed to, which is above the gap so that the pushing ends."""
 GAP = 0.02
@@ -41,8 +43,8 @@ MOST_ROUNDS = 1000
 def pack(key, box: boxes.Box, radius, *, gap: float | None = None):
     """Spheres at random in a periodic box, none closer to another than a gap.
 
-    Random points are pushed apart until no gap ``r_ij - R_i - R_j`` is below ``gap``. Their order is
-    about that of hard spheres in equilibrium, but that the narrowest gaps are missing.
+    Random points are pushed apart until no gap ``r_ij - R_i - R_j`` is below ``gap``. Their order
+    is about that of hard spheres in equilibrium, but that the narrowest gaps are missing.
 
     Args:
         key: a PRNG key; the same one may drive the run.
@@ -74,21 +76,25 @@ def pack(key, box: boxes.Box, radius, *, gap: float | None = None):
     position, narrowest, sweeps = _with_room(push, grid)
     if not narrowest >= wanted:
         raise RuntimeError(
-            f"the narrowest gap of spheres of volume fraction {_fraction(lengths, radius):.3g} is still {float(narrowest):.3g} "
-            f"after {int(sweeps)} sweeps, and {gap:.3g} is wanted; use fewer spheres or a larger box, a smaller gap, or another key"
+            f"the narrowest gap of spheres of volume fraction {_fraction(lengths, radius):.3g} is "
+            f"still {float(narrowest):.3g} after {int(sweeps)} sweeps, and {gap:.3g} is wanted; "
+            "use fewer spheres or a larger box, a smaller gap, or another key"
         )
     return position
 
 
 def arrange(key, box: boxes.Box, radius, *, clearance: float = 0.0):
-    """Positions (n, 3) of beads of radii (n,), 0 for points: :func:`pack` of the spheres, and :func:`fill` for the points."""
+    """Positions (n, 3) of beads of radii (n,), 0 for points: :func:`pack` of the spheres, and
+    :func:`fill` for the points."""
     radius = np.asarray(radius, float)
     is_sphere = radius > 0
     position = np.zeros((len(radius), 3), box.lengths.dtype)
     position[is_sphere] = pack(key, box, radius[is_sphere])
     if not np.all(is_sphere):
         count = int(np.sum(~is_sphere))
-        position[~is_sphere] = fill(key, box, position[is_sphere], radius[is_sphere], count, clearance=clearance)
+        position[~is_sphere] = fill(
+            key, box, position[is_sphere], radius[is_sphere], count, clearance=clearance
+        )
     return position
 
 
@@ -121,7 +127,9 @@ def fill(key, box: boxes.Box, centres, radius, count: int, *, clearance: float =
     clearance, count = float(not_negative(clearance, "clearance")), operator.index(count)
     centres = number(centres, "centres").astype(box.lengths.dtype)
     if centres.shape != (len(radius), 3):
-        raise ValueError(f"centres have shape {centres.shape}; {len(radius)} radii need ({len(radius)}, 3)")
+        raise ValueError(
+            f"centres have shape {centres.shape}; {len(radius)} radii need ({len(radius)}, 3)"
+        )
     if count < 1:
         raise ValueError(f"count is {count}; give at least 1 point")
     largest = radius.max() + clearance
@@ -136,8 +144,9 @@ def fill(key, box: boxes.Box, centres, radius, count: int, *, clearance: float =
     position, inside, rounds = _with_room(draw, grid)
     if inside:
         raise RuntimeError(
-            f"{int(inside)} of {count} points are still inside spheres after {int(rounds)} rounds: there is next to no free "
-            f"volume; use a clearance below {clearance:.4g}, fewer spheres or a larger box"
+            f"{int(inside)} of {count} points are still inside spheres after {int(rounds)} rounds: "
+            f"there is next to no free volume; use a clearance below {clearance:.4g}, fewer "
+            "spheres or a larger box"
         )
     return position
 
@@ -153,16 +162,24 @@ def _one_key(key, domain: int):
 def _sides(box, *others) -> np.ndarray:
     """The sides (3,) of a box that is not strained, all numbers being known."""
     if not is_concrete(box, *others):
-        raise ValueError("key, box, spheres and gaps must be known when tracing: place them outside jit, vmap and grad")
+        raise ValueError(
+            "key, box, spheres and gaps must be known when tracing: place them outside jit, vmap "
+            "and grad"
+        )
     if box.strain != 0:
-        raise ValueError(f"the box has a strain of {float(box.strain):.4g}; give an unstrained one, dpdjax.engine.box.box(lengths)")
+        raise ValueError(
+            f"the box has a strain of {float(box.strain):.4g}; give an unstrained one, "
+            "dpdjax.engine.box.box(lengths)"
+        )
     return np.asarray(box.lengths, float)
 
 
 def _radii(radius) -> np.ndarray:
     radius = np.asarray(positive(radius, "radius"), float)
     if radius.ndim != 1 or not radius.size:
-        raise ValueError(f"radius has shape {radius.shape}; give one for each sphere, such as np.full(100, 1.0)")
+        raise ValueError(
+            f"radius has shape {radius.shape}; give one for each sphere, such as np.full(100, 1.0)"
+        )
     return radius
 
 
@@ -180,29 +197,34 @@ def _checked_gap(lengths, radius, gap) -> float:
     reached = _fraction(lengths, radius)
     if reached >= DENSEST:
         raise ValueError(
-            f"volume fraction {reached:.4g} of the spheres is not below {DENSEST}, and random spheres jam at 0.64: use at most "
-            f"{int(len(radius) * DENSEST / reached)} such spheres, or sides over {np.cbrt(reached / DENSEST):.4g} times as long"
+            f"volume fraction {reached:.4g} of the spheres is not below {DENSEST}, and random "
+            f"spheres jam at 0.64: use at most {int(len(radius) * DENSEST / reached)} such "
+            f"spheres, or sides over {np.cbrt(reached / DENSEST):.4g} times as long"
         )
     slack = _slack(lengths, radius, DENSEST)
     gap = min(GAP * radius.min(), slack) if gap is None else float(not_negative(gap, "gap"))
     if _fraction(lengths, radius + gap / 2) > DENSEST * (1 + 1e-9):
         raise ValueError(
-            f"spheres of volume fraction {reached:.4g} with gaps of {gap:.4g} fill more than {DENSEST} of the box; "
-            f"use a gap below {slack:.4g}, fewer spheres or a larger box"
+            f"spheres of volume fraction {reached:.4g} with gaps of {gap:.4g} fill more than "
+            f"{DENSEST} of the box; use a gap below {slack:.4g}, fewer spheres or a larger box"
         )
     contact = 2 * radius.max() + gap
     if len(radius) == 1 and lengths.min() < contact:
-        raise ValueError(f"box side {lengths.min():.4g} is below {contact:.4g}: a sphere would meet its image; use a larger box")
+        raise ValueError(
+            f"box side {lengths.min():.4g} is below {contact:.4g}: a sphere would meet its image; "
+            "use a larger box"
+        )
     if len(radius) > 1 and lengths.min() < 2 * contact:
         raise ValueError(
-            f"box side {lengths.min():.4g} is below 2 (2 radius + gap) = {2 * contact:.4g}: a sphere would meet another and its "
-            "image; use a larger box or smaller spheres"
+            f"box side {lengths.min():.4g} is below 2 (2 radius + gap) = {2 * contact:.4g}: a "
+            "sphere would meet another and its image; use a larger box or smaller spheres"
         )
     return float(gap)
 
 
 def _margin(lengths, radius, gap: float) -> float:
-    """How much further than the gap spheres are pushed, so that the last overlaps go in few sweeps."""
+    """How much further than the gap spheres are pushed, so that the last overlaps go in few
+    sweeps."""
     fits = lengths.min() / 2 - (2 * radius.max() + gap)
     return float(min(GAP * radius.min(), _slack(lengths, radius + gap / 2, WIDEST), fits))
 
@@ -215,7 +237,11 @@ def _rounding(box, lengths) -> float:
 def _grid_of_spheres(lengths, radius, target: float) -> lists.Grid:
     reach = 2 * radius.max() + target
     skin = min(SKIN * radius.mean(), lengths.min() / 2 - reach)
-    return _roomy(lists.plan_grid(len(radius), lengths, float(reach), float(max(skin, 0)), sheared=False, room=ROOM))
+    return _roomy(
+        lists.plan_grid(
+            len(radius), lengths, float(reach), float(max(skin, 0)), sheared=False, room=ROOM
+        )
+    )
 
 
 def _grid_between(lengths, limit, count: int) -> lists.Grid:
@@ -226,12 +252,14 @@ def _grid_between(lengths, limit, count: int) -> lists.Grid:
 
 
 def _roomy(grid: lists.Grid) -> lists.Grid:
-    """A grid with wider windows: a list that overflows costs seconds to compile anew, and these live short."""
+    """A grid with wider windows: a list that overflows costs seconds to compile anew, and these
+    live short."""
     return grid.grown(2)
 
 
 def _with_room(work, grid: lists.Grid):
-    """The outcome of ``work(grid)``, less its list's error code, with a grid that nothing overflows."""
+    """The outcome of ``work(grid)``, less its list's error code, with a grid that nothing
+    overflows."""
     while True:
         *outcome, code = work(grid)
         if not code:
@@ -241,9 +269,11 @@ def _with_room(work, grid: lists.Grid):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _pushed_apart(grid, box, start, radius, wanted, target, most):
-    """Centres (n, 3) with gaps of ``wanted``, the narrowest gap, the sweeps it took, and the list's error code.
+    """Centres (n, 3) with gaps of ``wanted``, the narrowest gap, the sweeps it took, and the list's
+    error code.
 
-    Every sweep moves spheres closer than ``target`` apart, and on in the direction of the last sweep.
+    Every sweep moves spheres closer than ``target`` apart, and on in the direction of the last
+    sweep.
     """
 
     def is_open(neighbours, narrowest):
@@ -260,7 +290,13 @@ def _pushed_apart(grid, box, start, radius, wanted, target, most):
 
     goes_on = lambda carry: is_open(carry[0], carry[3]) & (carry[4] < most)
     unknown = jnp.full((), -jnp.inf, start.dtype)
-    carry = (lists.allocate(grid, box, start), start, jnp.zeros_like(start), unknown, jnp.zeros((), jnp.int32))
+    carry = (
+        lists.allocate(grid, box, start),
+        start,
+        jnp.zeros_like(start),
+        unknown,
+        jnp.zeros((), jnp.int32),
+    )
     neighbours, position, _, narrowest, sweeps = jax.lax.while_loop(goes_on, sweep, carry)
     return position, narrowest, sweeps, neighbours.list.error.code
 
@@ -278,26 +314,42 @@ def _pushes(idx, box, position, radius, target):
     share = radius[j] ** 3 / (radius[i] ** 3 + radius[j] ** 3)
     whole = lambda part: jnp.round((part * apart)[:, None] * d).astype(jnp.int32)
     total = jnp.zeros(position.shape, jnp.int32)
-    total = total.at[idx[0]].add(whole(share), mode="drop").at[idx[1]].add(-whole(1.0 - share), mode="drop")
+    total = (
+        total.at[idx[0]]
+        .add(whole(share), mode="drop")
+        .at[idx[1]]
+        .add(-whole(1.0 - share), mode="drop")
+    )
     return total * unit, jnp.min(gap)
 
 
 def _wrapped(box, position):
-    """Positions inside the box: what is just below zero rounds to the side itself, and is wrapped once more."""
+    """Positions inside the box: what is just below zero rounds to the side itself, and is wrapped
+    once more."""
     return boxes.wrap(box, boxes.wrap(box, position)[0])[0]
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _drawn_outside(grid, count, box, centres, limit, key, most):
-    """Points (count, 3) further than ``limit`` from the centres, how many are not, the rounds, and the list's error code."""
+    """Points (count, 3) further than ``limit`` from the centres, how many are not, the rounds, and
+    the list's error code."""
 
     def draw(carry):
         position, inside, rounds, _ = carry
-        # New points for all: those found already crowd the free volume, and would overflow the list.
-        fresh = jax.random.uniform(jax.random.fold_in(key, rounds), (count, 3), dtype=limit.dtype) * box.lengths[None]
+        # New points for all: those found already crowd the free volume, and would overflow the
+        # list.
+        fresh = (
+            jax.random.uniform(jax.random.fold_in(key, rounds), (count, 3), dtype=limit.dtype)
+            * box.lengths[None]
+        )
         found = lists.allocate(grid, box, jnp.concatenate([centres, fresh])).list
         position = jnp.where(inside[:, None], fresh, position)
-        return position, inside & _inside(found.idx, box, centres, limit, fresh), rounds + 1, found.error.code
+        return (
+            position,
+            inside & _inside(found.idx, box, centres, limit, fresh),
+            rounds + 1,
+            found.error.code,
+        )
 
     goes_on = lambda carry: jnp.any(carry[1]) & (carry[2] < most) & (carry[3] == 0)
     nowhere = jnp.zeros((count, 3), limit.dtype)
@@ -307,7 +359,8 @@ def _drawn_outside(grid, count, box, centres, limit, key, most):
 
 
 def _inside(idx, box, centres, limit, position):
-    """Which points (count,) are within the limit of a sphere, from the pairs of spheres and points."""
+    """Which points (count,) are within the limit of a sphere, from the pairs of spheres and
+    points."""
     spheres, count = centres.shape[0], position.shape[0]
     i, j = jnp.minimum(idx[0], spheres - 1), jnp.minimum(idx[1] - spheres, count - 1)
     d = boxes.displacement(box, centres[i], position[j])

@@ -38,8 +38,9 @@ def initial_state(
 ) -> State:
     """Beads in a box, with Maxwell velocities of zero total momentum.
 
-    At random, spheres (species with a radius) do not overlap, and points lie outside them. Beads whose potential diverges, as
-    that of Lennard-Jones, are placed no closer than where it is a few kT.
+    At random, spheres (species with a radius) do not overlap, and points lie outside them. Beads
+    whose potential diverges, as that of Lennard-Jones, are placed no closer than where it is a few
+    kT.
 
     Args:
         fluid: what the beads are.
@@ -49,7 +50,8 @@ def initial_state(
         n: number of beads, instead of the density or as one count per species.
         start: ``"random"`` or ``"lattice"`` (simple cubic, filled evenly).
         fractions: share of each species, equal by default.
-        skin: margin of the neighbour lists [length]; by default the cheapest for ``dt`` that the box has room for.
+        skin: margin of the neighbour lists [length]; by default the cheapest for ``dt`` that the
+            box has room for.
         dt: time step the skin is chosen for; by default :func:`suggest_dt`.
         sheared: leave room in the lists for a tilted box.
 
@@ -62,15 +64,20 @@ def initial_state(
     """
     key = prng_key(key)
     if key.ndim:
-        raise ValueError(f"{key.size} keys for one state; use jax.vmap(lambda key: dpd.initial_state(fluid, key, ...))(keys)")
+        raise ValueError(
+            f"{key.size} keys for one state; use jax.vmap(lambda key: dpd.initial_state(fluid, "
+            "key, ...))(keys)"
+        )
     if is_concrete(fluid) and (jnp.ndim(fluid.kT) or jnp.ndim(fluid.mass) > 1):
         raise ValueError(
-            "kT or mass of the fluid is a batch, and one state has one temperature: build the state with "
-            "one fluid, and give the batch to the run"
+            "kT or mass of the fluid is a batch, and one state has one temperature: build the "
+            "state with one fluid, and give the batch to the run"
         )
     box = boxes.box(box)
     if not is_concrete(box):
-        raise ValueError("the box of initial_state must be known when tracing: build the state outside jit")
+        raise ValueError(
+            "the box of initial_state must be known when tracing: build the state outside jit"
+        )
     if not is_concrete(fluid):
         raise ValueError(
             "initial_state needs plain numbers to lay out its lists: build the state with one "
@@ -81,14 +88,22 @@ def initial_state(
     # Planned first: what a box is too small for is told before anything is placed in it.
     grids = plan_lists(fluid, box, counts, skin=skin, dt=dt, sheared=sheared)
     radii = start_radii(fluid) if start == "random" else np.zeros(fluid.species)
-    position = _spheres_and_points(fluid, key, box, counts, radii) if radii.any() else _positions(start, key, box, sum(counts))
+    position = (
+        _spheres_and_points(fluid, key, box, counts, radii)
+        if radii.any()
+        else _positions(start, key, box, sum(counts))
+    )
     return placed(fluid, key, box, position, counts, grids)
 
 
-def plan_lists(fluid: Fluid, box: boxes.Box, counts, *, size=None, skin=None, dt=None, sheared=True) -> tuple[lists.Grid, ...]:
-    """The grid of each interaction's list for ``counts`` beads of each species in turn; arguments as in :func:`initial_state`.
+def plan_lists(
+    fluid: Fluid, box: boxes.Box, counts, *, size=None, skin=None, dt=None, sheared=True
+) -> tuple[lists.Grid, ...]:
+    """The grid of each interaction's list for ``counts`` beads of each species in turn; arguments
+    as in :func:`initial_state`.
 
-    ``size`` (n,): relative sizes of the beads. Raises ValueError for a box below ``2 (reach + skin)``.
+    ``size`` (n,): relative sizes of the beads. Raises ValueError for a box below
+    ``2 (reach + skin)``.
     """
     species, size = _in_turn(counts, size)
     lengths = np.asarray(box.lengths, float)
@@ -102,8 +117,11 @@ def plan_lists(fluid: Fluid, box: boxes.Box, counts, *, size=None, skin=None, dt
     return _grids(fluid, lengths, counts, reaches, skins, sheared)
 
 
-def placed(fluid: Fluid, key, box: boxes.Box, position, counts, grids: tuple[lists.Grid, ...], *, size=None) -> State:
-    """A state of beads at given positions (n, 3), ``counts`` of each species in turn, with lists on ``grids``.
+def placed(
+    fluid: Fluid, key, box: boxes.Box, position, counts, grids: tuple[lists.Grid, ...], *, size=None
+) -> State:
+    """A state of beads at given positions (n, 3), ``counts`` of each species in turn, with lists on
+    ``grids``.
 
     ``size`` (n,): relative sizes of the beads.
     """
@@ -130,7 +148,9 @@ def _rotation(fluid, key, counts, species, size) -> Rotation:
     edges = np.concatenate([[0], np.cumsum(counts)])
     slots = slice(int(edges[fluid.rotating[0]]), int(edges[fluid.rotating[-1] + 1]))
     inertia = inertia_of(fluid, species[slots], size[slots])
-    draw = jax.random.normal(jax.random.fold_in(key, SPIN_DOMAIN), (len(inertia), 3), dtype=inertia.dtype)
+    draw = jax.random.normal(
+        jax.random.fold_in(key, SPIN_DOMAIN), (len(inertia), 3), dtype=inertia.dtype
+    )
     return Rotation.of(draw * jnp.sqrt(fluid.kT / inertia)[:, None], slots.start)
 
 
@@ -140,11 +160,17 @@ def _grids(fluid, lengths, counts, reaches, skins, sheared) -> tuple[lists.Grid,
     skins = skins * len(reaches) if len(skins) == 1 else skins
     grids = []
     for interaction, reach, skin in zip(fluid.interactions, reaches, skins):
-        groups = tuple((int(edges[group[0]]), int(edges[group[-1] + 1])) for group in interaction.groups)
+        groups = tuple(
+            (int(edges[group[0]]), int(edges[group[-1] + 1])) for group in interaction.groups
+        )
         for group, (begin, end) in zip(interaction.groups, groups):
             if begin == end:
-                raise ValueError(f"there is no bead of species {group}, and the fluid has an interaction for it")
-        gather = groups[0] == groups[1] and all(fluid.radius[k] is not None for k in interaction.groups[0])
+                raise ValueError(
+                    f"there is no bead of species {group}, and the fluid has an interaction for it"
+                )
+        gather = groups[0] == groups[1] and all(
+            fluid.radius[k] is not None for k in interaction.groups[0]
+        )
         room = {"room": CLUSTERING} if gather else {}
         grids.append(lists.plan_grid(groups, lengths, reach, skin, sheared, **room))
     return tuple(grids)
@@ -152,16 +178,24 @@ def _grids(fluid, lengths, counts, reaches, skins, sheared) -> tuple[lists.Grid,
 
 def _counts(fluid, lengths, density, n, fractions):
     if (density is None) == (n is None):
-        raise ValueError("give either density=... or n=... (beads in all, or one count per species)")
+        raise ValueError(
+            "give either density=... or n=... (beads in all, or one count per species)"
+        )
     if n is not None and np.ndim(n) == 1:
         counts = [int(c) for c in n]
     else:
-        total = int(round(float(positive(density, "density")) * lengths.prod())) if n is None else int(n)
+        total = (
+            int(round(float(positive(density, "density")) * lengths.prod()))
+            if n is None
+            else int(n)
+        )
         counts = _shares(total, fluid.species, fractions)
     if len(counts) != fluid.species:
         raise ValueError(f"{len(counts)} counts for a fluid of {fluid.species} species")
     if sum(counts) < 2:
-        raise ValueError(f"density x volume is {sum(counts)} beads; a fluid needs at least 2: use a larger box")
+        raise ValueError(
+            f"density x volume is {sum(counts)} beads; a fluid needs at least 2: use a larger box"
+        )
     return counts
 
 
@@ -175,7 +209,9 @@ def _shares(total, species, fractions):
 
 def _positions(start, key, box, n):
     if start == "random":
-        u = jax.random.uniform(jax.random.fold_in(key, POSITION_DOMAIN), (n, 3), dtype=box.lengths.dtype)
+        u = jax.random.uniform(
+            jax.random.fold_in(key, POSITION_DOMAIN), (n, 3), dtype=box.lengths.dtype
+        )
         return u * box.lengths[None]
     if start == "lattice":
         return jnp.asarray(_lattice(n, np.asarray(box.lengths, float)), box.lengths.dtype)
@@ -185,16 +221,24 @@ def _positions(start, key, box, n):
 def _spheres_and_points(fluid, key, box, counts, radii):
     """Positions (n, 3) in the order of the species, none closer than the radii (species,) allow."""
     if not is_concrete(key):
-        raise ValueError("spheres are packed outside jit and vmap: build such states one by one, and stack them")
+        raise ValueError(
+            "spheres are packed outside jit and vmap: build such states one by one, and stack them"
+        )
     try:
         return jnp.asarray(packing.arrange(key, box, np.repeat(radii, counts)))
     except (ValueError, RuntimeError) as error:
-        grown = [f"{2 * R:.3g}" for R, real in zip(radii, fluid.radius) if R > (0.0 if real is None else float(real))]
+        grown = [
+            f"{2 * R:.3g}"
+            for R, real in zip(radii, fluid.radius)
+            if R > (0.0 if real is None else float(real))
+        ]
         if not grown:
             raise
         raise type(error)(
-            f"a potential of this fluid diverges, so beads start at least {', '.join(grown)} apart, where it is "
-            f'{START_ENERGY:g} kT, and at random they do not fit: use a lower density, or start="lattice" ({error})'
+            f"a potential of this fluid diverges, so beads start at least {', '.join(grown)} "
+            "apart, where it is "
+            f"{START_ENERGY:g} kT, and at random they do not fit: use a lower density, or "
+            f'start="lattice" ({error})'
         ) from error
 
 
@@ -211,6 +255,8 @@ def _lattice(n, lengths):
 @jax.jit
 def _velocities(key, mass, kT):
     """Maxwell velocities, shifted to zero momentum."""
-    draw = jax.random.normal(jax.random.fold_in(key, VELOCITY_DOMAIN), (mass.shape[0], 3), dtype=mass.dtype)
+    draw = jax.random.normal(
+        jax.random.fold_in(key, VELOCITY_DOMAIN), (mass.shape[0], 3), dtype=mass.dtype
+    )
     velocity = draw * jnp.sqrt(kT / mass)[:, None]
     return velocity - jnp.sum(mass[:, None] * velocity, axis=0, keepdims=True) / jnp.sum(mass)

@@ -62,18 +62,22 @@ class Suspension:
         names = ("solvent-solvent", "colloid-solvent", "colloid-colloid")
         sides = " x ".join(f"{side:g}" for side in np.asarray(self.state.box.lengths))
         lists = "; ".join(
-            f"{name} {n.grid.reach:.4g} + {n.grid.skin:.2g}" for name, n in zip(names, self.state.neighbours)
+            f"{name} {n.grid.reach:.4g} + {n.grid.skin:.2g}"
+            for name, n in zip(names, self.state.neighbours)
         )
         mass = np.asarray(self.fluid.mass)
         return "\n".join(
             [
-                f"{self.colloids} colloids and {self.solvents} solvent beads in {sides}, phi {self.phi:.4f}",
-                f"colloids: radius {float(self.fluid.radius[COLLOID]):g}{self._spread()}, mass {mass[COLLOID]:.4g}; "
-                f"solvent mass {mass[SOLVENT]:g}",
+                f"{self.colloids} colloids and {self.solvents} solvent beads in {sides}, phi "
+                f"{self.phi:.4f}",
+                f"colloids: radius {float(self.fluid.radius[COLLOID]):g}{self._spread()}, mass "
+                f"{mass[COLLOID]:.4g}; solvent mass {mass[SOLVENT]:g}",
                 f"cut-offs between centres, and skins: {lists}",
                 *self._energies(),
-                f"kT {float(self.fluid.kT):g}, dt {self.dt:.2g}, diffusion time tau {self.tau:.4g}: {self.steps_per_tau:,} steps",
-                f"one tau is {self.steps_per_tau * self.state.n:.2g} particle-steps (dpdjax bench tells how many a second)",
+                f"kT {float(self.fluid.kT):g}, dt {self.dt:.2g}, diffusion time tau "
+                f"{self.tau:.4g}: {self.steps_per_tau:,} steps",
+                f"one tau is {self.steps_per_tau * self.state.n:.2g} particle-steps (dpdjax bench "
+                "tells how many a second)",
             ]
         )
 
@@ -82,7 +86,9 @@ class Suspension:
     def _energies(self) -> list[str]:
         """The potentials between colloids, in kT."""
         pairs = self.fluid.interactions[-1]
-        told = [f"{name_of(t.law)} {energies_in_kT(self.fluid, pairs, t)}" for t in pairs.conservative]
+        told = [
+            f"{name_of(t.law)} {energies_in_kT(self.fluid, pairs, t)}" for t in pairs.conservative
+        ]
         return [f"between colloids: {'; '.join(told)}"]
 
     def _spread(self) -> str:
@@ -107,8 +113,9 @@ def suspension(
 ) -> Suspension:
     """Colloids at a volume fraction in a solvent, placed at random.
 
-    ``density (1 - phi) V`` solvent beads, rounded down, lie outside the colloids, which keep a small gap from each
-    other. The solvent starts without structure and warm: let it settle for some time units.
+    ``density (1 - phi) V`` solvent beads, rounded down, lie outside the colloids, which keep a
+    small gap from each other. The solvent starts without structure and warm: let it settle for some
+    time units.
 
     Args:
         key: a PRNG key; the same one may drive the run.
@@ -122,12 +129,15 @@ def suspension(
         report: told what was made; None for silence.
         **numbers: all that :func:`dpdjax.colloid_fluid` takes: kT, gamma, eta_0, D0, ...
 
-    Raises ValueError for a box and a number or neither, a volume fraction that cannot be packed, a box too small
-    for the lists.
+    Raises ValueError for a box and a number or neither, a volume fraction that cannot be packed, a
+    box too small for the lists.
     """
     key = prng_key(key)
     r_c = float(positive(numbers.get("r_c", 1.0), "r_c"))
-    radius, density = r_c if radius is None else radius, 3.0 / r_c**3 if density is None else density
+    radius, density = (
+        r_c if radius is None else radius,
+        3.0 / r_c**3 if density is None else density,
+    )
     phi, density = (float(positive(x, name)) for x, name in ((phi, "phi"), (density, "density")))
     if phi >= 1:
         raise ValueError(f"phi is {phi:g}; it must be below 1, and can be packed up to about 0.45")
@@ -137,11 +147,18 @@ def suspension(
     positive(fluid.kT, "kT", "without it there is no diffusion time to tell results in")
     space, volume = boxes.box(lengths), float(np.prod(lengths))
     placed_phi = float(sphere_volume(radii).sum()) / volume
-    # Of drawn radii the fraction is not quite the wanted one, of equal ones it is but for whole colloids.
-    solvents = math.floor(density * (1.0 - (placed_phi if np.ptp(radii) else phi)) * volume * (1 + 1e-9))
+    # Of drawn radii the fraction is not quite the wanted one, of equal ones it is but for whole
+    # colloids.
+    solvents = math.floor(
+        density * (1.0 - (placed_phi if np.ptp(radii) else phi)) * volume * (1 + 1e-9)
+    )
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
-    dt = suggest_dt(fluid, np.asarray(counts) / volume, (size.min(), size.max())) if dt is None else float(dt)
+    dt = (
+        suggest_dt(fluid, np.asarray(counts) / volume, (size.min(), size.max()))
+        if dt is None
+        else float(dt)
+    )
     grids = plan_lists(fluid, space, counts, size=size, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(key, space, np.concatenate([np.zeros(solvents), radii]))
     state = placed(fluid, key, space, position, counts, grids, size=size)
@@ -152,21 +169,31 @@ def suspension(
 
 
 def _radii_and_sides(key, phi, box, colloids, radius, spread):
-    """Radii (colloids,) and sides (3,) that agree with the volume fraction, one of which is given."""
+    """Radii (colloids,) and sides (3,) that agree with the volume fraction, one of which is
+    given."""
     given = np.ndim(radius) == 1
     colloids = len(radius) if given and colloids is None and box is None else colloids
     if (box is None) == (colloids is None):
         raise ValueError("give either box=... (one side or three) or colloids=... (their number)")
     if given and (spread or box is not None or colloids != len(radius)):
-        raise ValueError(f"{len(radius)} radii are given: leave out box and spread, and give no other number of colloids")
+        raise ValueError(
+            f"{len(radius)} radii are given: leave out box and spread, and give no other number of "
+            "colloids"
+        )
     if not 0 <= spread < 1 / CUT_SIZES:
-        raise ValueError(f"spread is {spread:g}; it must lie between 0 and {1 / CUT_SIZES:.2f}, so that no radius is negative")
+        raise ValueError(
+            f"spread is {spread:g}; it must lie between 0 and {1 / CUT_SIZES:.2f}, so that no "
+            "radius is negative"
+        )
     positive(radius, "radius")
     if box is not None:
         lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
         colloids = round(phi * lengths.prod() / (sphere_volume(radius) * (1 + 3 * spread**2)))
         if colloids < 1:
-            raise ValueError(f"phi {phi:g} is less than one colloid of radius {radius:g} in this box; use a larger box")
+            raise ValueError(
+                f"phi {phi:g} is less than one colloid of radius {radius:g} in this box; use a "
+                "larger box"
+            )
         return radius * _sizes(key, colloids, spread), lengths
     radii = np.asarray(radius, float) if given else radius * _sizes(key, int(colloids), spread)
     return radii, np.full(3, (sphere_volume(radii).sum() / phi) ** (1 / 3))
@@ -174,5 +201,7 @@ def _radii_and_sides(key, phi, box, colloids, radius, spread):
 
 def _sizes(key, count: int, spread: float) -> np.ndarray:
     """Relative sizes (count,) of mean about 1."""
-    draw = jax.random.truncated_normal(jax.random.fold_in(key, SIZE_DOMAIN), -CUT_SIZES, CUT_SIZES, (count,))
+    draw = jax.random.truncated_normal(
+        jax.random.fold_in(key, SIZE_DOMAIN), -CUT_SIZES, CUT_SIZES, (count,)
+    )
     return 1.0 + spread / CUT_DEVIATION * np.asarray(draw, float)

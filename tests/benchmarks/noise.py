@@ -1,4 +1,5 @@
-"""The pair noise through TestU01's SmallCrush, as the engine consumes it, beside JAX's own generator.
+"""The pair noise through TestU01's SmallCrush, as the engine consumes it, beside JAX's own
+generator.
 
     apt-get install libtestu01-0-dev gcc
     python tests/benchmarks/noise.py
@@ -51,7 +52,9 @@ int main(void) {
 def pair_noise(key, step, i, j):
     """The noise of pairs of ids at a step."""
     words = noise.step_words(key, step)
-    return noise.pair_noise(words, noise.bead_words(words, i), noise.bead_words(words, j), np.float64)
+    return noise.pair_noise(
+        words, noise.bead_words(words, i), noise.bead_words(words, j), np.float64
+    )
 
 
 def integers(xi):
@@ -70,7 +73,9 @@ def words(k, low: bool):
 def listed_pairs():
     """The ids of the pairs of a settled box of water, in the order of its list."""
     fluid = dpd.fluid(
-        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0
+        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
     )
     key = jax.random.key(1)
     state = dpd.initial_state(fluid, key, box=20.0, density=3.0, dt=0.01)
@@ -104,14 +109,17 @@ def by_id(key, block):
 def threefry(key, block):
     """JAX's own generator, as the control."""
     bits = jax.random.bits(jax.random.fold_in(key, block), (CHUNK,), jnp.uint32)
-    return (bits >> 9).astype(jnp.float64) * 12.0**0.5 * 2.0**-23 - (2.0**22 - 0.5) * 12.0**0.5 * 2.0**-23
+    return (bits >> 9).astype(jnp.float64) * 12.0**0.5 * 2.0**-23 - (
+        2.0**22 - 0.5
+    ) * 12.0**0.5 * 2.0**-23
 
 
 STREAMS = {"list": by_list, "pair": by_pair, "id": by_id, "threefry": threefry}
 
 
 def battery(driver, stream, low, seed):
-    """Run SmallCrush on a stream: chunks used, and the p-values outside [0.001, 0.999] by name of their test."""
+    """Run SmallCrush on a stream: chunks used, and the p-values outside [0.001, 0.999] by name of
+    their test."""
     key = jax.random.key(seed)
     make = jax.jit(lambda block: words(integers(stream(key, block)), low))
     process = subprocess.Popen([driver], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -126,7 +134,9 @@ def battery(driver, stream, low, seed):
     if "All tests were passed" in text:
         return block, ""
     summary = text[text.index("Summary results") :]
-    return block, "; ".join(" ".join(f).strip() for f in re.findall(r"^\s*\d+\s+(\S+)\s+(\S.*)$", summary, re.M)) or summary
+    return block, "; ".join(
+        " ".join(f).strip() for f in re.findall(r"^\s*\d+\s+(\S+)\s+(\S.*)$", summary, re.M)
+    ) or summary
 
 
 def main():
@@ -146,14 +156,20 @@ def main():
                 for low in (False, True):
                     blocks, verdict = battery(driver, stream, low, 2026)
                     if verdict:
-                        # A lone p-value of one in a thousand is expected among 120: another key tells.
+                        # A lone p-value of one in a thousand is expected among 120: another key
+                        # tells.
                         again = battery(driver, stream, low, 2027)[1]
                         verdict += f" (another key: {again or 'all 15 passed'})"
                     what, bits = stream.__doc__.rstrip("."), "low 16" if low else "top 16"
-                    lines.append(f"| {what} | {bits} | {blocks * CHUNK // 2:.2g} | {verdict or 'all 15 passed'} |")
+                    lines.append(
+                        f"| {what} | {bits} | {blocks * CHUNK // 2:.2g} | "
+                        f"{verdict or 'all 15 passed'} |"
+                    )
                     print(lines[-1], flush=True)
     if arguments.only is None:
-        head = "# The pair noise through SmallCrush\n\nWritten by `python tests/benchmarks/noise.py`; "
+        head = (
+            "# The pair noise through SmallCrush\n\nWritten by `python tests/benchmarks/noise.py`; "
+        )
         head += f"{datetime.date.today()}, TestU01 1.2.3.\n\n"
         (HERE / "NOISE.md").write_text(head + "\n".join(lines) + "\n")
 

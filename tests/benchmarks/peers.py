@@ -28,8 +28,12 @@ HERE = Path(__file__).parent
 BEADS, DENSITY = 24_000, 3.0
 SIDE = (BEADS / DENSITY) ** (1 / 3)
 STATES = {
-    "water": dict(repulsion=25.0, gamma=4.5, kT=1.0, dt=0.01, steps=400, skins=(0.3, 0.4, 0.5, 0.6)),
-    "colloid solvent": dict(repulsion=2.5, gamma=45.0, kT=0.1, dt=0.001, steps=800, skins=(0.1, 0.15, 0.2, 0.3)),
+    "water": dict(
+        repulsion=25.0, gamma=4.5, kT=1.0, dt=0.01, steps=400, skins=(0.3, 0.4, 0.5, 0.6)
+    ),
+    "colloid solvent": dict(
+        repulsion=2.5, gamma=45.0, kT=0.1, dt=0.001, steps=800, skins=(0.1, 0.15, 0.2, 0.3)
+    ),
 }
 PLAIN_STEPS, OPENMM_STEPS = 40, 10
 
@@ -59,9 +63,15 @@ def lammps(lmp, mpiexec, ranks, skin, **state):
     """Particle-steps per second of the second run of a LAMMPS script."""
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder, "in.dpd")
-        script.write_text(LAMMPS.format(side=SIDE, beads=BEADS, skin=skin, **{**state, "steps": 2 * state["steps"]}))
+        script.write_text(
+            LAMMPS.format(
+                side=SIDE, beads=BEADS, skin=skin, **{**state, "steps": 2 * state["steps"]}
+            )
+        )
         command = [mpiexec, "-n", str(ranks), lmp, "-in", str(script), "-log", "none"]
-        text = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
+        text = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=True
+        ).stdout
     seconds = float(re.findall(r"Loop time of (\S+)", text)[-1])
     return BEADS * 2 * state["steps"] / seconds
 
@@ -106,7 +116,12 @@ def _plain(repulsion, gamma, kT, dt):
     side, skin = SIDE, 0.4 if kT == 1 else 0.2
     displacement, shift = space.periodic(side)
     listing = partition.neighbor_list(
-        displacement, side, 1.0, dr_threshold=skin, capacity_multiplier=1.3, format=partition.OrderedSparse
+        displacement,
+        side,
+        1.0,
+        dr_threshold=skin,
+        capacity_multiplier=1.3,
+        format=partition.OrderedSparse,
     )
     key = jax.random.key(0)
     position = side * jax.random.uniform(key, (BEADS, 3))
@@ -122,7 +137,9 @@ def _plain(repulsion, gamma, kT, dt):
         w = jnp.where(real & (r > 0), jnp.maximum(1.0 - r, 0.0), 0.0)
         along = jnp.sum(e * (velocity[i] - velocity[j]), axis=1)
         xi = jax.random.normal(key, r.shape)
-        f = (repulsion * w - gamma * w**2 * along + jnp.sqrt(2 * gamma * kT / dt) * w * xi)[:, None] * e
+        f = (repulsion * w - gamma * w**2 * along + jnp.sqrt(2 * gamma * kT / dt) * w * xi)[
+            :, None
+        ] * e
         return jax.ops.segment_sum(f, i, BEADS) - jax.ops.segment_sum(f, j, BEADS)
 
     def step(carry, key):
@@ -238,7 +255,12 @@ def _jax_md_builder():
 
     displacement, _ = space.periodic(SIDE)
     listing = partition.neighbor_list(
-        displacement, SIDE, 1.0, dr_threshold=CUT - 1.0, capacity_multiplier=1.2, format=partition.OrderedSparse
+        displacement,
+        SIDE,
+        1.0,
+        dr_threshold=CUT - 1.0,
+        capacity_multiplier=1.2,
+        format=partition.OrderedSparse,
     )
     position = jax.numpy.asarray(_positions())
     start = listing.allocate(position)
@@ -277,7 +299,9 @@ def speeds(arguments, name):
     contenders = {"dpdjax": lambda: dpdjax(**state)}
     if shutil.which(arguments.lmp):
         best = max(skins, key=lambda s: lammps(arguments.lmp, arguments.mpiexec, 2, s, **state))
-        contenders[f"LAMMPS, 2 ranks, skin {best}"] = lambda: lammps(arguments.lmp, arguments.mpiexec, 2, best, **state)
+        contenders[f"LAMMPS, 2 ranks, skin {best}"] = lambda: lammps(
+            arguments.lmp, arguments.mpiexec, 2, best, **state
+        )
     if importlib.util.find_spec("openmm"):
         contenders["OpenMM, CPU"] = lambda: openmm(**state)
     contenders["plain jax-md"] = lambda: plain_jax_md(**state)
@@ -294,7 +318,9 @@ def builders(arguments):
         contenders["vesin"] = build_vesin
     found = rounds(contenders, 3 * arguments.rounds)
     lines = ["| builder | ms | over dpdjax |", "|---|---|---|"]
-    lines += [f"| {code} | {1e3 * v:.3g} | {v / found['dpdjax']:.2f} |" for code, v in found.items()]
+    lines += [
+        f"| {code} | {1e3 * v:.3g} | {v / found['dpdjax']:.2f} |" for code, v in found.items()
+    ]
     return [f"## One half list: cut {CUT}, ideal gas", "", *lines]
 
 
@@ -316,8 +342,13 @@ def main():
     text = "\n\n".join("\n".join(s) for s in sections)
     print(text)
     if arguments.only is None:
-        where = f"{datetime.date.today()}, jax {jax.__version__}, Python {platform.python_version()}"
-        head = f"# dpdjax beside its peers\n\nWritten by `python tests/benchmarks/peers.py`; {where}, {BEADS} beads.\n\n"
+        where = (
+            f"{datetime.date.today()}, jax {jax.__version__}, Python {platform.python_version()}"
+        )
+        head = (
+            "# dpdjax beside its peers\n\nWritten by `python tests/benchmarks/peers.py`; "
+            f"{where}, {BEADS} beads.\n\n"
+        )
         (HERE / "PEERS.md").write_text(head + text + "\n")
 
 

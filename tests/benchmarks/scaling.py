@@ -2,9 +2,9 @@
 
     python tests/benchmarks/scaling.py
 
-Every figure is from a process of its own (so that its peak memory is its own), in rounds of
-all; medians over the rounds. Half an hour on two cores. Writes ``tests/benchmarks/SCALING.md``. Water: a 25, gamma 4.5,
-kT 1, dt 0.01, density 3.
+Every figure is from a process of its own (so that its peak memory is its own), in rounds of all;
+medians over the rounds. Half an hour on two cores. Writes ``tests/benchmarks/SCALING.md``. Water: a
+25, gamma 4.5, kT 1, dt 0.01, density 3.
 """
 
 import argparse
@@ -23,7 +23,8 @@ REVERSE_BEADS, REVERSE_FRAMES, REVERSE_EVERY = 3_000, 125, 8
 
 FIRST_FRAME = """
 import jax, dpdjax as dpd
-fluid = dpd.fluid([dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
+repulsion = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)
+fluid = dpd.fluid([repulsion], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
 key = jax.random.key(0)
 state = dpd.initial_state(fluid, key, box=10.0, density=3.0)
 print(dpd.run(fluid, state, key, 0.01, dpd.Plan(1, 10), progress=False).frames["temperature"])
@@ -45,7 +46,9 @@ def reverse():
     from dpdjax.host.bench import peak_memory
 
     fluid = dpd.fluid(
-        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0
+        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
     )
     key, plan = jax.random.key(0), dpd.Plan(REVERSE_FRAMES, REVERSE_EVERY)
     state = dpd.initial_state(fluid, key, box=10.0, n=REVERSE_BEADS, dt=0.01, sheared=False)
@@ -66,7 +69,9 @@ def reverse():
             jax.block_until_ready(program(4.5))
             seconds[name].append(time.perf_counter() - began)
     # The first of each is to warm up.
-    return {name: statistics.median(s[1:]) for name, s in seconds.items()} | {"peak_memory_bytes": peak_memory()}
+    return {name: statistics.median(s[1:]) for name, s in seconds.items()} | {
+        "peak_memory_bytes": peak_memory()
+    }
 
 
 def first_frame():
@@ -85,12 +90,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--largest", type=int, default=SIZES[-1], help="largest box")
-    parser.add_argument("--reverse", action="store_true", help="print the figures of reverse mode alone, as JSON")
+    parser.add_argument(
+        "--reverse", action="store_true", help="print the figures of reverse mode alone, as JSON"
+    )
     arguments = parser.parse_args()
     if arguments.reverse:
         print(json.dumps(reverse()))
         return
-    jobs = {f"{n} beads": lambda n=n: bench("--beads", str(n)) for n in SIZES if n <= arguments.largest}
+    jobs = {
+        f"{n} beads": lambda n=n: bench("--beads", str(n)) for n in SIZES if n <= arguments.largest
+    }
     jobs["64 x 3000 beads"] = lambda: bench("--beads", "3000", "--batch", "64")
     jobs["tangent"] = lambda: bench("--beads", "3000", "--tangent")
     jobs["reverse"] = lambda: in_process("--reverse")
@@ -102,8 +111,13 @@ def main():
             print(name, found[name][-1], file=sys.stderr, flush=True)
     text = table(found)
     print(text)
-    where = f"{datetime.date.today()}, Python {platform.python_version()}, {arguments.rounds} rounds"
-    head = f"# Size, batches and derivatives\n\nWritten by `python tests/benchmarks/scaling.py`; {where}; water conditions.\n\n"
+    where = (
+        f"{datetime.date.today()}, Python {platform.python_version()}, {arguments.rounds} rounds"
+    )
+    head = (
+        "# Size, batches and derivatives\n\nWritten by `python tests/benchmarks/scaling.py`; "
+        f"{where}; water conditions.\n\n"
+    )
     (HERE / "SCALING.md").write_text(head + text + "\n")
 
 
@@ -112,24 +126,39 @@ def table(found):
     boxes = [name for name in found if name.endswith("beads")]
     speed = {name: median(name, "particle_steps_per_second") for name in boxes}
     best = max(v for name, v in speed.items() if " x " not in name)
-    columns = ("box", "particle-steps/s", "best over it", "steps per rebuild", "rebuild, ms", "peak memory, GiB")
+    columns = (
+        "box",
+        "particle-steps/s",
+        "best over it",
+        "steps per rebuild",
+        "rebuild, ms",
+        "peak memory, GiB",
+    )
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     for name in boxes:
-        rebuild, steps, memory = (median(name, f) for f in ("rebuild_seconds", "steps_per_rebuild", "peak_memory_bytes"))
+        rebuild, steps, memory = (
+            median(name, f) for f in ("rebuild_seconds", "steps_per_rebuild", "peak_memory_bytes")
+        )
         costs = f"{steps:.2g} | {1e3 * rebuild:.3g} | {memory / 2**30:.2f}"
         lines.append(f"| {name} | {speed[name]:.3g} | {best / speed[name]:.2f} | {costs} |")
     gradient = statistics.median(r["gradient"] / r["primal"] for r in found["reverse"])
-    run = f"{REVERSE_FRAMES * REVERSE_EVERY} steps of {REVERSE_BEADS} beads, kept every {REVERSE_EVERY}"
+    run = (
+        f"{REVERSE_FRAMES * REVERSE_EVERY} steps of {REVERSE_BEADS} beads, kept every "
+        f"{REVERSE_EVERY}"
+    )
     return "\n".join(
         [
             *lines,
             "",
             "| derivative or start | |",
             "|---|---|",
-            f"| forward tangent over primal, 3,000 beads | {median('tangent', 'tangent_over_primal'):.2f} |",
+            "| forward tangent over primal, 3,000 beads | "
+            f"{median('tangent', 'tangent_over_primal'):.2f} |",
             f"| gradient over primal, {run} | {gradient:.2f} |",
-            f"| peak memory of that process, GiB | {median('reverse', 'peak_memory_bytes') / 2**30:.2f} |",
-            f"| first frame of 3,000 beads from a cold start, s | {statistics.median(found['first frame']):.1f} |",
+            "| peak memory of that process, GiB | "
+            f"{median('reverse', 'peak_memory_bytes') / 2**30:.2f} |",
+            "| first frame of 3,000 beads from a cold start, s | "
+            f"{statistics.median(found['first frame']):.1f} |",
         ]
     )
 

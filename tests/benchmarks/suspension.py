@@ -2,8 +2,9 @@
 
     python tests/benchmarks/suspension.py
 
-Both in one process, runs of either by turns, medians; 2 minutes on two cores. Writes ``tests/benchmarks/SUSPENSION.md``.
-phi 0.2 in a box of 30: 1,289 colloids of radius 1 with Morse attraction of 12 kT, kT 0.1, gamma 4.5, eta_0 0.3.
+Both in one process, runs of either by turns, medians; 2 minutes on two cores. Writes
+``tests/benchmarks/SUSPENSION.md``. phi 0.2 in a box of 30: 1,289 colloids of radius 1 with Morse
+attraction of 12 kT, kT 0.1, gamma 4.5, eta_0 0.3.
 """
 
 import argparse
@@ -41,7 +42,10 @@ def seconds(compiled, state) -> float:
 
 def pairs_per(neighbours, count) -> float:
     """Pairs in a list over ``count``."""
-    return float(np.sum(np.asarray(neighbours.list.idx[0]) < len(neighbours.list.reference_position))) / count
+    return (
+        float(np.sum(np.asarray(neighbours.list.idx[0]) < len(neighbours.list.reference_position)))
+        / count
+    )
 
 
 def main():
@@ -52,11 +56,22 @@ def main():
     warnings.filterwarnings("ignore", message="box side")
     key = jax.random.key(0)
     made = dpd.suspension(key, phi=0.2, box=arguments.box, D0=1.2, report=None)
-    pure = dpd.fluid([dpd.term(dpd.soft_repulsion, a=2.5, r_c=1.0)], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=0.1)
+    pure = dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=2.5, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=0.1,
+    )
     solvent = dpd.initial_state(pure, key, box=arguments.box, density=3.0, dt=made.dt)
-    states = [settled(fluid, state, key, made.dt) for fluid, state in ((made.fluid, made.state), (pure, solvent))]
-    programs = [program(fluid, state, key, made.dt) for fluid, state in zip((made.fluid, pure), states)]
-    times = [[seconds(p, s) for p, s in zip(programs, states)] for _ in range(arguments.rounds + 1)][1:]
+    states = [
+        settled(fluid, state, key, made.dt)
+        for fluid, state in ((made.fluid, made.state), (pure, solvent))
+    ]
+    programs = [
+        program(fluid, state, key, made.dt) for fluid, state in zip((made.fluid, pure), states)
+    ]
+    times = [
+        [seconds(p, s) for p, s in zip(programs, states)] for _ in range(arguments.rounds + 1)
+    ][1:]
     each = [statistics.median(t) for t in zip(*times)]
     ratio = statistics.median(a / b for a, b in times)
     names = ("solvent-solvent", "colloid-solvent", "colloid-colloid")
@@ -64,11 +79,14 @@ def main():
         f"| {name} | {n.grid.reach:.3f} | {n.grid.skin:.3f} | {pairs_per(n, made.solvents):.2f} |"
         for name, n in zip(names, states[0].neighbours)
     )
-    where = f"{datetime.date.today()}, Python {platform.python_version()}, {arguments.rounds} rounds"
+    where = (
+        f"{datetime.date.today()}, Python {platform.python_version()}, {arguments.rounds} rounds"
+    )
     text = f"""# What colloids cost
 
 Written by `python tests/benchmarks/suspension.py`; {where}.
-phi 0.2, box {arguments.box:g}: {made.colloids} colloids, {made.solvents} solvent beads; dt {made.dt:.3g}.
+phi 0.2, box {arguments.box:g}: {made.colloids} colloids, {made.solvents} solvent beads;
+dt {made.dt:.3g}.
 
 | box | particle-steps/s | cost of a particle-step over the solvent's |
 |---|---|---|

@@ -77,10 +77,27 @@ def block_error(series, blocks):
     return float(np.std(means, ddof=1) / np.sqrt(blocks))
 
 
-def shear_viscosity(density=3.0, repulsion=25.0, gamma=4.5, kT=1.0, dt=0.01, rate=0.2,
-                    side=15.0, steps=20000, equilibration=2000, every=5, seed=1, *,
-                    skin=0.4, blocks=20, windows=400, ranks=2, lmp=None, mpiexec=None,
-                    log=None):
+def shear_viscosity(
+    density=3.0,
+    repulsion=25.0,
+    gamma=4.5,
+    kT=1.0,
+    dt=0.01,
+    rate=0.2,
+    side=15.0,
+    steps=20000,
+    equilibration=2000,
+    every=5,
+    seed=1,
+    *,
+    skin=0.4,
+    blocks=20,
+    windows=400,
+    ranks=2,
+    lmp=None,
+    mpiexec=None,
+    log=None,
+):
     """Run one sheared simulation; return its parameters, averages and checks as a dict.
 
     The stress is sampled each `every` steps and averaged over `windows` short windows
@@ -98,23 +115,49 @@ def shear_viscosity(density=3.0, repulsion=25.0, gamma=4.5, kT=1.0, dt=0.01, rat
     window = repeat * every
     steps = windows * window
     particles = round(density * side**3)
-    parameters = dict(density=density, repulsion=repulsion, gamma=gamma, kT=kT, dt=dt,
-                      rate=rate, side=side, steps=steps, equilibration=equilibration,
-                      every=every, seed=seed, skin=skin, particles=particles)
+    parameters = dict(
+        density=density,
+        repulsion=repulsion,
+        gamma=gamma,
+        kT=kT,
+        dt=dt,
+        rate=rate,
+        side=side,
+        steps=steps,
+        equilibration=equilibration,
+        every=every,
+        seed=seed,
+        skin=skin,
+        particles=particles,
+    )
     lmp, mpiexec = find("lmp", lmp), find("mpiexec", mpiexec)
     library = str(Path(lmp).parent.parent / "lib")
     paths = [library, os.environ.get("LD_LIBRARY_PATH", "")]
-    environment = dict(os.environ, OMP_NUM_THREADS="1",
-                       LD_LIBRARY_PATH=os.pathsep.join(filter(None, paths)))
+    environment = dict(
+        os.environ, OMP_NUM_THREADS="1", LD_LIBRARY_PATH=os.pathsep.join(filter(None, paths))
+    )
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        (folder / "in.shear").write_text(INPUT.format(
-            **parameters, seed1=seed + 1, seed2=seed + 2, window=window, repeat=repeat,
-            thermo=max(1, steps // 20), profile_repeat=steps // every))
+        (folder / "in.shear").write_text(
+            INPUT.format(
+                **parameters,
+                seed1=seed + 1,
+                seed2=seed + 2,
+                window=window,
+                repeat=repeat,
+                thermo=max(1, steps // 20),
+                profile_repeat=steps // every,
+            )
+        )
         start = time.perf_counter()
-        done = subprocess.run([mpiexec, "-n", str(ranks), lmp, "-in", "in.shear"], cwd=folder,
-                              env=environment, text=True, stdout=subprocess.PIPE,
-                              stderr=subprocess.STDOUT)
+        done = subprocess.run(
+            [mpiexec, "-n", str(ranks), lmp, "-in", "in.shear"],
+            cwd=folder,
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
         wall = time.perf_counter() - start
         if log:
             Path(log).write_text(done.stdout)
@@ -127,27 +170,47 @@ def shear_viscosity(density=3.0, repulsion=25.0, gamma=4.5, kT=1.0, dt=0.01, rat
     speed = [float(x) for x in re.findall(r"Loop time of (\S+)", done.stdout)]
     return dict(
         parameters,
-        viscosity=float(viscosity), viscosity_error=error,
+        viscosity=float(viscosity),
+        viscosity_error=error,
         viscosity_kinetic=float(-kinetic.mean() / rate),
-        temperature=float(temperature.mean()), temperature_error=block_error(temperature, blocks),
-        pressure=float(pressure.mean()), pressure_error=block_error(pressure, blocks),
-        blocks=blocks, block_time=steps * dt / blocks,
+        temperature=float(temperature.mean()),
+        temperature_error=block_error(temperature, blocks),
+        pressure=float(pressure.mean()),
+        pressure_error=block_error(pressure, blocks),
+        blocks=blocks,
+        block_time=steps * dt / blocks,
         viscosity_error_by_blocks={n: block_error(stress, n) / rate for n in (10, 20, 50, 100)},
         profile_deviation=float(np.abs(bins[:, 3]).max()),
         dangerous_builds=[int(n) for n in re.findall(r"Dangerous builds = (\d+)", done.stdout)],
         neighbour_builds=[int(n) for n in re.findall(r"list builds = (\d+)", done.stdout)],
-        particle_steps=particles * steps, particle_steps_per_second=particles * steps / speed[-1],
-        wall_seconds=wall, ranks=ranks,
+        particle_steps=particles * steps,
+        particle_steps_per_second=particles * steps / speed[-1],
+        wall_seconds=wall,
+        ranks=ranks,
         lammps=re.search(r"LAMMPS \(([^)]*)\)", done.stdout).group(1),
-        date=datetime.date.today().isoformat())
+        date=datetime.date.today().isoformat(),
+    )
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name, default in (("density", 3.0), ("repulsion", 25.0), ("gamma", 4.5), ("kT", 1.0),
-                          ("dt", 0.01), ("rate", 0.2), ("side", 15.0), ("steps", 20000),
-                          ("equilibration", 2000), ("every", 5), ("seed", 1), ("skin", 0.4),
-                          ("blocks", 20), ("windows", 400), ("ranks", 2)):
+    for name, default in (
+        ("density", 3.0),
+        ("repulsion", 25.0),
+        ("gamma", 4.5),
+        ("kT", 1.0),
+        ("dt", 0.01),
+        ("rate", 0.2),
+        ("side", 15.0),
+        ("steps", 20000),
+        ("equilibration", 2000),
+        ("every", 5),
+        ("seed", 1),
+        ("skin", 0.4),
+        ("blocks", 20),
+        ("windows", 400),
+        ("ranks", 2),
+    ):
         parser.add_argument(f"--{name}", type=type(default), default=default)
     parser.add_argument("--lmp", help="the LAMMPS executable (default: from the PATH)")
     parser.add_argument("--mpiexec", help="its MPI launcher (default: from the PATH)")

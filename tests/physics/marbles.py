@@ -1,12 +1,15 @@
-"""Physics of a marble at production accuracy: grows marbles.csv piece by piece, and writes MARBLES.md from it.
+"""Physics of a marble at production accuracy: grows marbles.csv piece by piece, and writes
+MARBLES.md from it.
 
-    python tests/physics/marbles.py viscosity temperatures schmidt    # what the rest is set beside: an hour
-    python tests/physics/marbles.py run --minutes 30          # more pieces, where errors are furthest from their targets
-    python tests/physics/marbles.py run --minutes 30 --worker 1 --workers 2
-    python tests/physics/marbles.py marble                    # the table of what there is
+    python tests/physics/marbles.py viscosity temperatures schmidt    # what the rest is set beside:
+    an hour python tests/physics/marbles.py run --minutes 30          # more pieces, where errors
+    are furthest from their targets python tests/physics/marbles.py run --minutes 30 --worker 1
+    --workers 2 python tests/physics/marbles.py marble                    # the table of what there
+    is
 
-Every piece is a replica of its own, so pieces can be made by several workers, machines and sessions. Single precision, as
-users run. Solvent of Zhou & Schmid (2015): a 0, gamma 5, kT 1, density 3; marble of radius 3.
+Every piece is a replica of its own, so pieces can be made by several workers, machines and
+sessions. Single precision, as users run. Solvent of Zhou & Schmid (2015): a 0, gamma 5, kT 1,
+density 3; marble of radius 3.
 """
 
 import argparse
@@ -56,11 +59,16 @@ class Case:
 
     @property
     def flow(self):
-        return dpd.drive(self.force, self.torque, reaction=self.reaction) if self.force or self.torque else None
+        return (
+            dpd.drive(self.force, self.torque, reaction=self.reaction)
+            if self.force or self.torque
+            else None
+        )
 
     @property
     def fit(self) -> tuple[float, float]:
-        """Lags at which the velocity is forgotten: it decays with the slowest wave, at ``nu (2 pi/L)^2``."""
+        """Lags at which the velocity is forgotten: it decays with the slowest wave, at
+        ``nu (2 pi/L)^2``."""
         return (0.15 * self.box**2, 0.25 * self.box**2)
 
     @property
@@ -70,7 +78,8 @@ class Case:
 
 
 CASES = (
-    # Forces: a Reynolds number of 0.2 at most. Some of the first pieces of boxes of 10, 15 and 20 were driven up to a fifth harder.
+    # Forces: a Reynolds number of 0.2 at most. Some of the first pieces of boxes of 10, 15 and 20
+    # were driven up to a fifth harder.
     Case("L 10, gamma_cs 5", 10, 5, 8.0, 9.0, target=0.035),
     Case("L 10, gamma_cs 5, half the force", 10, 5, 4.0, 4.5, target=0.09),
     Case("L 10, gamma_cs 5, reaction on the others", 10, 5, 6.5, reaction="others", target=0.08),
@@ -82,14 +91,44 @@ CASES = (
     Case("L 20, gamma_cs 5", 20, 5, 3.4, 9.0, target=0.06),
 )
 TABLE = rooms.HERE / "marbles.csv"
-READINGS = ("D_drag", "D_msd", "D_vacf", "Dr_torque", "Dr_msd", "Dr_vacf", "velocity", "omega", "T", "v2", "w2")
+READINGS = (
+    "D_drag",
+    "D_msd",
+    "D_vacf",
+    "Dr_torque",
+    "Dr_msd",
+    "Dr_vacf",
+    "velocity",
+    "omega",
+    "T",
+    "v2",
+    "w2",
+)
 TITLES = {
-    "D_drag": "D, drag", "D_msd": "D, displacement", "D_vacf": "D, velocity",
-    "Dr_torque": "D_r, torque", "Dr_msd": "D_r, angle", "Dr_vacf": "D_r, spin",
-    "T": "kinetic temperature", "v2": "M <v^2>/(1 - M/M_total)", "w2": "I <omega^2>",
-}  # fmt: skip
+    "D_drag": "D, drag",
+    "D_msd": "D, displacement",
+    "D_vacf": "D, velocity",
+    "Dr_torque": "D_r, torque",
+    "Dr_msd": "D_r, angle",
+    "Dr_vacf": "D_r, spin",
+    "T": "kinetic temperature",
+    "v2": "M <v^2>/(1 - M/M_total)",
+    "w2": "I <omega^2>",
+}
 """Of the readings that make a row."""
-COLUMNS = ("case", "piece", *READINGS, "dt", "time", "beads", "particle_steps", "seconds", "commit", "device", "date")
+COLUMNS = (
+    "case",
+    "piece",
+    *READINGS,
+    "dt",
+    "time",
+    "beads",
+    "particle_steps",
+    "seconds",
+    "commit",
+    "device",
+    "date",
+)
 
 
 def piece(case: Case, number: int) -> dict:
@@ -99,26 +138,45 @@ def piece(case: Case, number: int) -> dict:
     made = dpd.marbles(key, box=case.box, gamma_cs=case.gamma_cs, dt=DT, report=None)
     plan = lambda length: dpd.Plan(round(length / DT / EVERY), EVERY)
     observe = [dpd.positions_of(1), dpd.rotations, dpd.mean(thermal)]
-    go = lambda state, length: dpd.run(made.fluid, state, key, DT, plan(length), case.flow, observe=observe, progress=False)
+    go = lambda state, length: dpd.run(
+        made.fluid, state, key, DT, plan(length), case.flow, observe=observe, progress=False
+    )
     run = go(go(made.state, case.settle).final, LENGTH)
     return {
-        "case": case.name, "piece": number, **readings(case, run), "dt": DT, "time": LENGTH, "beads": made.state.n,
-        "particle_steps": round((case.settle + LENGTH) / DT) * made.state.n, "seconds": round(time.monotonic() - began),
-        "commit": commit(), "device": device(), "date": datetime.date.today().isoformat(),
-    }  # fmt: skip
+        "case": case.name,
+        "piece": number,
+        **readings(case, run),
+        "dt": DT,
+        "time": LENGTH,
+        "beads": made.state.n,
+        "particle_steps": round((case.settle + LENGTH) / DT) * made.state.n,
+        "seconds": round(time.monotonic() - began),
+        "commit": commit(),
+        "device": device(),
+        "date": datetime.date.today().isoformat(),
+    }
 
 
 def thermal(fluid, state):
-    """Kinetic temperatures: of all beads; of the marbles' velocity and spin across the drive, over what they should be."""
+    """Kinetic temperatures: of all beads; of the marbles' velocity and spin across the drive, over
+    what they should be."""
     marbles = len(state.rotation.velocity)
     mass, inertia, rest = fluid.mass[1], fluid.inertia[1], fluid.mass[0] * (state.n - marbles)
     share = mass / (marbles * mass + rest)
-    v2, w2 = jnp.mean(state.velocity[-marbles:, 1:] ** 2), jnp.mean(state.rotation.velocity[:, 1:] ** 2)
-    return {"T": dpd.temperature(fluid, state), "v2": v2 * mass / fluid.kT / (1 - share), "w2": w2 * inertia / fluid.kT}
+    v2, w2 = (
+        jnp.mean(state.velocity[-marbles:, 1:] ** 2),
+        jnp.mean(state.rotation.velocity[:, 1:] ** 2),
+    )
+    return {
+        "T": dpd.temperature(fluid, state),
+        "v2": v2 * mass / fluid.kT / (1 - share),
+        "w2": w2 * inertia / fluid.kT,
+    }
 
 
 def readings(case: Case, run) -> dict:
-    """What a piece says: driven cases by their drift, all of them by their fluctuations across it."""
+    """What a piece says: driven cases by their drift, all of them by their fluctuations across
+    it."""
     found = {name: float(np.mean(run.frames[name])) for name in ("T", "v2", "w2")}
     if case.force:
         driven = dpd.driven_diffusion(run, skip=0.0)
@@ -126,7 +184,8 @@ def readings(case: Case, run) -> dict:
     if case.torque:
         driven = dpd.driven_rotation(run, skip=0.0)
         found |= {"Dr_torque": driven.diffusion.value, "omega": driven.velocity.value}
-    # Motion across the drive, along y and z, is that of equilibrium: two of the three directions that D is the mean of.
+    # Motion across the drive, along y and z, is that of equilibrium: two of the three directions
+    # that D is the mean of.
     axes = np.sqrt([0.0, 1.5, 1.5] if case.flow else [1.0, 1.0, 1.0])
     interval = float(run.interval)
     time = interval * np.arange(round(case.fit[1] / interval) + 1)
@@ -143,11 +202,13 @@ def readings(case: Case, run) -> dict:
     return found
 
 
-# ---------------------------------------------------------------------------- keeping pieces
+# ------------------------------------------------------------ keeping pieces
 
 
 def commit() -> str:
-    found = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=rooms.HERE)
+    found = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=rooms.HERE
+    )
     return found.stdout.strip() or "unknown"
 
 
@@ -171,7 +232,12 @@ def keep(line: dict):
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     if not TABLE.exists():
         writer.writeheader()
-    writer.writerow({name: f"{value:.7g}" if isinstance(value, float) else value for name, value in line.items()})
+    writer.writerow(
+        {
+            name: f"{value:.7g}" if isinstance(value, float) else value
+            for name, value in line.items()
+        }
+    )
     with TABLE.open("a") as file:
         file.write(text.getvalue())
 
@@ -186,20 +252,25 @@ def reading(lines: list[dict], name: str) -> Estimate | None:
 
 
 def drag(lines: list[dict]) -> Estimate:
-    """D from the drift in several pieces, weighed by the errors that fluctuation and dissipation give each."""
+    """D from the drift in several pieces, weighed by the errors that fluctuation and dissipation
+    give each."""
     D, error = _drags(lines)
     weight = error**-2.0
     return Estimate(float(np.sum(weight * D) / weight.sum()), float(weight.sum() ** -0.5), len(D))
 
 
 def _drags(lines):
-    """D of each piece and its error: the displacement in a time t scatters by ``sqrt(2 D t)``, and ``kT/F`` is ``D/v``."""
-    D, velocity, time = np.array([[float(line[name]) for name in ("D_drag", "velocity", "time")] for line in lines]).T
+    """D of each piece and its error: the displacement in a time t scatters by ``sqrt(2 D t)``, and
+    ``kT/F`` is ``D/v``."""
+    D, velocity, time = np.array(
+        [[float(line[name]) for name in ("D_drag", "velocity", "time")] for line in lines]
+    ).T
     return D, D / velocity * np.sqrt(2 * D.mean() / time)
 
 
 def scatter(cases: list[list[dict]]) -> Estimate:
-    """Mean square of the drags of pieces about their case, over the square of the errors above: 1 if those are right."""
+    """Mean square of the drags of pieces about their case, over the square of the errors above: 1
+    if those are right."""
     squares, free = 0.0, 0
     for lines in cases:
         D, error = _drags(lines)
@@ -229,17 +300,29 @@ def run(minutes: float, worker: int, workers: int, only: str | None):
         number = next(k for k in range(worker, 10**6, workers) if k not in taken)
         line = piece(case, number)
         keep(line)
-        print(f"{case.name}, piece {number}: {line['seconds']} s", {k: line.get(k) for k in READINGS}, flush=True)
+        print(
+            f"{case.name}, piece {number}: {line['seconds']} s",
+            {k: line.get(k) for k in READINGS},
+            flush=True,
+        )
 
 
-# ---------------------------------------------------------------------------- rooms
+# ------------------------------------------------------------ rooms
 
 
 def viscosity():
     """Viscosity of the solvent: a 0, gamma 5, kT 1, density 3"""
     pure = dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0)], kT=1.0)
     eta = dpd.measure_viscosity(pure, key=KEY, density=DENSITY, tolerance=0.015, dt=DT).estimate
-    return [row("viscosity, shear", f"dt {DT:g}", eta, Estimate(1.23, 0.01), "Zhou & Schmid, method not stated")]
+    return [
+        row(
+            "viscosity, shear",
+            f"dt {DT:g}",
+            eta,
+            Estimate(1.23, 0.01),
+            "Zhou & Schmid, method not stated",
+        )
+    ]
 
 
 def temperatures():
@@ -247,15 +330,46 @@ def temperatures():
     rows, dt = [], 0.006
     for coupling in ("full", "transverse", "central"):
         for gamma_cs in (1.0, 5.0, 20.0):
-            made = dpd.marbles(KEY, box=8.0, count=20, radius=1.0, gamma_cs=gamma_cs, coupling=coupling, dt=dt, report=None)
-            state = dpd.run(made.fluid, made.state, KEY, dt, dpd.Plan(20, 200), progress=False).final
-            run = dpd.run(made.fluid, state, KEY, dt, dpd.Plan(2000, 100), observe=dpd.mean(thermal), progress=False)
+            made = dpd.marbles(
+                KEY,
+                box=8.0,
+                count=20,
+                radius=1.0,
+                gamma_cs=gamma_cs,
+                coupling=coupling,
+                dt=dt,
+                report=None,
+            )
+            state = dpd.run(
+                made.fluid, made.state, KEY, dt, dpd.Plan(20, 200), progress=False
+            ).final
+            run = dpd.run(
+                made.fluid,
+                state,
+                KEY,
+                dt,
+                dpd.Plan(2000, 100),
+                observe=dpd.mean(thermal),
+                progress=False,
+            )
             where = f"{coupling}, gamma_cs {gamma_cs:g}, dt {dt:g}, {made.solvents} solvent beads"
-            names = {"T": "kinetic temperature of all beads", "v2": TITLES["v2"], "w2": TITLES["w2"]}
+            names = {
+                "T": "kinetic temperature of all beads",
+                "v2": TITLES["v2"],
+                "w2": TITLES["w2"],
+            }
             for name, title in names.items():
                 if name != "w2" or coupling != "central":
                     mean = block_average(run.frames[name])
-                    rows.append(row(f"{title}, per component, over kT", where, mean, 1.0, "exact, up to O(dt)"))
+                    rows.append(
+                        row(
+                            f"{title}, per component, over kT",
+                            where,
+                            mean,
+                            1.0,
+                            "exact, up to O(dt)",
+                        )
+                    )
             print(*map(rooms.text, rows[-3:]), sep="\n", flush=True)
     return rows
 
@@ -263,23 +377,37 @@ def temperatures():
 def schmidt():
     """Transverse drag in the solvent: the Schmidt number
 
-    Drag across the line of centres beside gamma 5 along it, at kT 1 and density 3. Beads that are dragged more carry less
-    momentum, so the viscosity falls before it rises. D is the large system's: that of a box of side 10 and
-    2.837 kT/(6 pi eta 10).
+    Drag across the line of centres beside gamma 5 along it, at kT 1 and density 3. Beads that are
+    dragged more carry less momentum, so the viscosity falls before it rises. D is the large
+    system's: that of a box of side 10 and 2.837 kT/(6 pi eta 10).
     """
     rows = []
     for gamma_t in (0.0, 5.0, 20.0):
-        frictions = [dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0), dpd.term(dpd.transverse_drag, gamma_t=gamma_t, r_c=1.0)]
+        frictions = [
+            dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0),
+            dpd.term(dpd.transverse_drag, gamma_t=gamma_t, r_c=1.0),
+        ]
         fluid, where = dpd.fluid(drag=frictions, kT=1.0), f"gamma_t {gamma_t:g}, dt 0.005"
-        eta = dpd.measure_viscosity(fluid, key=KEY, density=DENSITY, tolerance=0.02, dt=0.005).estimate
+        eta = dpd.measure_viscosity(
+            fluid, key=KEY, density=DENSITY, tolerance=0.02, dt=0.005
+        ).estimate
         state = dpd.initial_state(fluid, KEY, box=10.0, density=DENSITY, dt=0.005)
         state = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(20, 100), progress=False).final
-        observe = [dpd.positions, dpd.mean(lambda fluid, state: {"T": dpd.temperature(fluid, state)})]
+        observe = [
+            dpd.positions,
+            dpd.mean(lambda fluid, state: {"T": dpd.temperature(fluid, state)}),
+        ]
         run = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(600, 50), observe=observe, progress=False)
         box = dpd.diffusion(run, fit=(5.0, 10.0))
         D = Estimate(box.value + LATTICE / (6 * math.pi * eta.value * 10), box.error, box.blocks)
         rows += [
-            row("kinetic temperature", where, block_average(run.frames["T"]), 1.0, "exact, up to O(dt)"),
+            row(
+                "kinetic temperature",
+                where,
+                block_average(run.frames["T"]),
+                1.0,
+                "exact, up to O(dt)",
+            ),
             row("viscosity, shear", where, eta),
             row("D of a solvent bead", where, D),
             row("Schmidt number, eta/(rho D)", where, eta.over(D).scaled(1 / DENSITY)),
@@ -291,13 +419,15 @@ def schmidt():
 def marble():
     """A marble of radius 3: diffusion from its drift, its displacement and its velocity
 
-    D where the whole has no momentum. Drag: driven along x; displacement and velocity: along y and z in the same runs, or in
-    equilibrium. Theory: no slip, the bare radius and the viscosity measured above; the hydrodynamic radius is what no slip would
-    take. Errors are the scatter of pieces, but for the drag: there each piece has the error that fluctuation and dissipation give
-    it, kT/F sqrt(2 D/t), and the last row compares with their scatter. A case of fewer than four pieces is not shown.
+    D where the whole has no momentum. Drag: driven along x; displacement and velocity: along y and
+    z in the same runs, or in equilibrium. Theory: no slip, the bare radius and the viscosity
+    measured above; the hydrodynamic radius is what no slip would take. Errors are the scatter of
+    pieces, but for the drag: there each piece has the error that fluctuation and dissipation give
+    it, kT/F sqrt(2 D/t), and the last row compares with their scatter. A case of fewer than four
+    pieces is not shown.
 
-    With the reaction on the others a force F drives as F/(1 - M/M_total) does (Zhou & Schmid divide by it once more, for the
-    velocity relative to the solvent); D is corrected for it.
+    With the reaction on the others a force F drives as F/(1 - M/M_total) does (Zhou & Schmid divide
+    by it once more, for the velocity relative to the solvent); D is corrected for it.
     """
     there = pieces()
     found = {case: there[case.name] for case in CASES if len(there[case.name]) >= FEWEST}
@@ -305,15 +435,48 @@ def marble():
     rows = [line for case, lines in found.items() for line in _of_case(case, lines, eta)]
     alike = [case for case in found if (case.box, case.gamma_cs) == (10, 5)]
     together = [line for case in alike for line in found[case]]
-    rows += _of_readings(alike[0], "L 10, gamma_cs 5, all runs", together, eta, ("D_msd", "D_vacf", "Dr_msd", "Dr_vacf"))
-    rows.append(row("D, drag", "L 10, gamma_cs 5, all runs", drag([line for case in alike if case.force for line in found[case]])))
+    rows += _of_readings(
+        alike[0],
+        "L 10, gamma_cs 5, all runs",
+        together,
+        eta,
+        ("D_msd", "D_vacf", "Dr_msd", "Dr_vacf"),
+    )
+    rows.append(
+        row(
+            "D, drag",
+            "L 10, gamma_cs 5, all runs",
+            drag([line for case in alike if case.force for line in found[case]]),
+        )
+    )
     driven = scatter([lines for case, lines in found.items() if case.force])
-    rows.append(row("scatter of drags over that expected, squared", "all pieces", driven, 1.0, "fluctuation and dissipation"))
-    several = [case for case in found if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")]
+    rows.append(
+        row(
+            "scatter of drags over that expected, squared",
+            "all pieces",
+            driven,
+            1.0,
+            "fluctuation and dissipation",
+        )
+    )
+    several = [
+        case
+        for case in found
+        if case.name in ("L 10, gamma_cs 5", "L 15, gamma_cs 5", "L 20, gamma_cs 5")
+    ]
     if len(several) > 1:
         estimates = [drag(found[case]) for case in several]
-        radius = dpd.hydrodynamic_radius([case.box for case in several], estimates, kT=1.0, viscosity=eta)
-        rows.append(row("hydrodynamic radius", ", ".join(case.name for case in several), radius, note="from the drag"))
+        radius = dpd.hydrodynamic_radius(
+            [case.box for case in several], estimates, kT=1.0, viscosity=eta
+        )
+        rows.append(
+            row(
+                "hydrodynamic radius",
+                ", ".join(case.name for case in several),
+                radius,
+                note="from the drag",
+            )
+        )
     return rows
 
 
@@ -321,32 +484,57 @@ def _of_case(case, lines, eta):
     """The rows of one case, with what they cost and how fast the marble went."""
     rows = _of_readings(case, case.name, lines, eta, TITLES)
     steps = sum(float(line["particle_steps"]) for line in lines)
-    rows[0]["note"] = f"{len(lines)} pieces, {steps:.2g} particle-steps, {sum(float(line['seconds']) for line in lines):.0f} s"
+    rows[0]["note"] = (
+        f"{len(lines)} pieces, {steps:.2g} particle-steps, "
+        f"{sum(float(line['seconds']) for line in lines):.0f} s"
+    )
     if case.force:
         Re = DENSITY * abs(reading(lines, "velocity").value) * RADIUS / eta
         radius = dpd.hydrodynamic_radius([case.box], [drag(lines)], kT=1.0, viscosity=eta)
-        rows.append(row("hydrodynamic radius", case.name, radius, note=f"from the drag, this box alone; Re {Re:.2f}"))
+        rows.append(
+            row(
+                "hydrodynamic radius",
+                case.name,
+                radius,
+                note=f"from the drag, this box alone; Re {Re:.2f}",
+            )
+        )
     return rows
 
 
 def _of_readings(case, where, lines, eta, names):
     at = dict(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
     beside = {name: (1.0, "exact, up to O(dt)") for name in names}
-    for kind, theory in (("D_", dpd.sphere_diffusion(**at)), ("Dr_", dpd.sphere_rotational_diffusion(**at))):
+    for kind, theory in (
+        ("D_", dpd.sphere_diffusion(**at)),
+        ("Dr_", dpd.sphere_rotational_diffusion(**at)),
+    ):
         beside |= {name: (theory, "no slip, radius 3") for name in names if name.startswith(kind)}
-    estimates = {name: drag(lines) if name == "D_drag" and case.force else reading(lines, name) for name in names}
-    return [row(TITLES[name], where, value, *beside[name]) for name, value in estimates.items() if value is not None]
+    estimates = {
+        name: drag(lines) if name == "D_drag" and case.force else reading(lines, name)
+        for name in names
+    }
+    return [
+        row(TITLES[name], where, value, *beside[name])
+        for name, value in estimates.items()
+        if value is not None
+    ]
 
 
 HEADING = """# A marble at production accuracy
 
-Written by `python tests/physics/marbles.py`; do not edit. Reduced units, standard errors. Pieces: marbles.csv."""
+Written by `python tests/physics/marbles.py`; do not edit.
+Reduced units, standard errors. Pieces: marbles.csv."""
 ROOMS = (viscosity, temperatures, schmidt, marble)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", nargs="+", help="run, or the names of rooms: " + ", ".join(room.__name__ for room in ROOMS))
+    parser.add_argument(
+        "what",
+        nargs="+",
+        help="run, or the names of rooms: " + ", ".join(room.__name__ for room in ROOMS),
+    )
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--worker", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1)

@@ -55,7 +55,16 @@ def sheared(matter, dt, rate, particle_time, side=10.0, count=4, seed=0):
     state, keys = boxes(matter, side, count, dt, seed)
     beads = count * state.position.shape[1]
     state = go(matter, state, keys, dt, 4.0, 50, dpd.shear(rate)).final
-    run = go(matter, state, keys, dt, particle_time / beads, 20, dpd.shear(rate), dpd.mean(dpd.shear_record))
+    run = go(
+        matter,
+        state,
+        keys,
+        dt,
+        particle_time / beads,
+        20,
+        dpd.shear(rate),
+        dpd.mean(dpd.shear_record),
+    )
     return dpd.shear_viscosity(run, skip=0.0, blocks=32), run
 
 
@@ -67,7 +76,7 @@ def lammps(**wanted):
     raise LookupError(f"lammps.json has no run with {wanted}")
 
 
-# ---------------------------------------------------------------------------- statics
+# ------------------------------------------------------------ statics
 
 
 def pressure():
@@ -86,31 +95,80 @@ def pressure():
     top = int(np.argmax(g.g))
     return [
         row("pressure", where, p, Estimate(23.65, 0.02), "P. Warren, Monte Carlo"),
-        row("excess energy density", where, energy, Estimate(13.63, 0.02), "P. Warren, Monte Carlo"),
-        row("g(r) at 0.88", where, at(0.88), 1.16, "HNC", f"highest {g.g[top]:.3f} at r = {g.r[top]:.2f}"),
+        row(
+            "excess energy density", where, energy, Estimate(13.63, 0.02), "P. Warren, Monte Carlo"
+        ),
+        row(
+            "g(r) at 0.88",
+            where,
+            at(0.88),
+            1.16,
+            "HNC",
+            f"highest {g.g[top]:.3f} at r = {g.r[top]:.2f}",
+        ),
         row("g(r) at 1.19", where, at(1.19), 0.95, "HNC"),
-        row("g(r) at 0.50", where, at(0.5), 0.59, "HNC", "an approximation, worst where beads overlap"),
-        row("kinetic temperature", where, block_average(run.frames["temperature"]), 1.0, "exact, up to O(dt)"),
-        row("configurational temperature", where, block_average(shots.frames["config"]), 1.0, "exact, up to O(dt)"),
+        row(
+            "g(r) at 0.50",
+            where,
+            at(0.5),
+            0.59,
+            "HNC",
+            "an approximation, worst where beads overlap",
+        ),
+        row(
+            "kinetic temperature",
+            where,
+            block_average(run.frames["temperature"]),
+            1.0,
+            "exact, up to O(dt)",
+        ),
+        row(
+            "configurational temperature",
+            where,
+            block_average(shots.frames["config"]),
+            1.0,
+            "exact, up to O(dt)",
+        ),
     ]
 
 
 def temperature():
     """Temperature error of velocity-Verlet against the time step."""
     rows = []
-    for name, matter, steps in (("a 0", fluid(0.0, 4.5), (0.05, 0.02, 0.01, 0.005)), ("a 25", WATER, (0.02, 0.01, 0.005))):
+    for name, matter, steps in (
+        ("a 0", fluid(0.0, 4.5), (0.05, 0.02, 0.01, 0.005)),
+        ("a 25", WATER, (0.02, 0.01, 0.005)),
+    ):
         for dt in steps:
             state, keys = boxes(matter, 10.0, 2, dt, seed=2)
             run = go(matter, state, keys, dt, 40.0, max(1, round(0.1 / dt)))
             excess = block_average(100 * (run.frames["temperature"] - 1.0))
             reference = {0.02: "about 1.4", 0.05: "about 4.5"}.get(dt, "") if name == "a 0" else ""
             note = f"{excess.value / 100 / (4.5 * dt):.2f} gamma dt"
-            rows.append(row("temperature error [%]", f"{name}, gamma 4.5, dt {dt:g}", excess, reference, "", note))
+            rows.append(
+                row(
+                    "temperature error [%]",
+                    f"{name}, gamma 4.5, dt {dt:g}",
+                    excess,
+                    reference,
+                    "",
+                    note,
+                )
+            )
     rule = dpd.suggest_dt(WATER, 3.0)
     state, keys = boxes(WATER, 10.0, 2, rule, seed=3)
     run = go(WATER, state, keys, rule, 80.0, 15)
     excess = block_average(100 * (run.frames["temperature"] - 1.0))
-    return [*rows, row("temperature error [%], default dt", f"a 25, gamma 4.5, dt {rule:.2g}", excess, "below 0.5", "")]
+    return [
+        *rows,
+        row(
+            "temperature error [%], default dt",
+            f"a 25, gamma 4.5, dt {rule:.2g}",
+            excess,
+            "below 0.5",
+            "",
+        ),
+    ]
 
 
 # ------------------------------------------------------------------------- viscosity
@@ -125,11 +183,29 @@ def ideal_shear():
     limit = plane([(0.04, 0.01, main), (0.16, 0.01, fast), (0.16, 0.005, fine)])
     referee = lammps(repulsion=0, gamma=5, dt=0.01, rate=0.2)
     return [
-        row("viscosity, shear", f"{where}, dt 0.01, rate 0.2", main, referee, "LAMMPS, same dt and rate"),
+        row(
+            "viscosity, shear",
+            f"{where}, dt 0.01, rate 0.2",
+            main,
+            referee,
+            "LAMMPS, same dt and rate",
+        ),
         row("viscosity, shear", f"{where}, dt 0.01, rate 0.4", fast),
         row("viscosity, shear", f"{where}, dt 0.005, rate 0.4", fine),
-        row("viscosity, shear", f"{where}, dt -> 0, rate -> 0", limit, Estimate(1.23, 0.01), "Zhou & Schmid 2013"),
-        row("viscosity, LAMMPS", f"{where}, dt 0.01, rate 0.2", referee, Estimate(1.23, 0.01), "Zhou & Schmid 2013"),
+        row(
+            "viscosity, shear",
+            f"{where}, dt -> 0, rate -> 0",
+            limit,
+            Estimate(1.23, 0.01),
+            "Zhou & Schmid 2013",
+        ),
+        row(
+            "viscosity, LAMMPS",
+            f"{where}, dt 0.01, rate 0.2",
+            referee,
+            Estimate(1.23, 0.01),
+            "Zhou & Schmid 2013",
+        ),
     ]
 
 
@@ -160,7 +236,10 @@ def ideal_equilibrium():
 def ideal_sine():
     """(a 0, gamma 5): sinusoidal body force at two wavelengths, extrapolated in k^2."""
     dt, found, squares, rows = 0.01, [], [], []
-    for wavelength, other, count, total, seed in ((10.0, 6.0, 8, 260.0, 8), (20.0, 6.0, 6, 420.0, 9)):
+    for wavelength, other, count, total, seed in (
+        (10.0, 6.0, 8, 260.0, 8),
+        (20.0, 6.0, 6, 420.0, 9),
+    ):
         k = 2 * math.pi / wavelength
         amplitude = 1.25 * k * 0.2 / 3.0
         state, keys = boxes(IDEAL, jnp.array([other, wavelength, other]), count, dt, seed)
@@ -199,7 +278,9 @@ def tangents(matter, name, dt, rate, duration, windows, side=10.0, count=4, seed
     state = go(matter, state, keys, dt, 5.0, 50, goal.flow).final
     bench = experiment.Bench(matter, goal, 3.0, state, keys, dt)
     plan = dpd.Plan(frames, max(1, round(duration / dt / frames)))
-    found = [experiment.window_tangents(bench, matter, (name,), 0, dt, plan) for _ in range(windows)]
+    found = [
+        experiment.window_tangents(bench, matter, (name,), 0, dt, plan) for _ in range(windows)
+    ]
     slopes = goal.scale * np.concatenate(found) / float(matter.value(name))
     each = [from_replicas(c) for c in slopes.T]
     times = dt * plan.every * np.arange(1, frames + 1)
@@ -216,7 +297,14 @@ def slope_ideal():
     where = "a 0, gamma 5, kT 1, dt 0.01"
     course = ", ".join(f"{e} at {t:.2f}" for t, e in list(zip(times, slopes))[3::4])
     return [
-        row("d eta / d gamma, tangent", f"{where}, t = 0.8, rate 0.3", slopes[at], difference, "runs at gamma 4 and 6", course),
+        row(
+            "d eta / d gamma, tangent",
+            f"{where}, t = 0.8, rate 0.3",
+            slopes[at],
+            difference,
+            "runs at gamma 4 and 6",
+            course,
+        ),
         row("viscosity, shear", "a 0, gamma 4, dt 0.01, rate 0.4", low),
         row("viscosity, shear", "a 0, gamma 6, dt 0.01, rate 0.4", high),
     ]
@@ -227,7 +315,13 @@ def slope_water():
     times, slopes, _ = tangents(WATER, "gamma", 0.005, 0.3, 0.6, 16, seed=23)
     at = int(np.argmin(np.abs(times - 0.4)))
     return [
-        row("d eta / d gamma, tangent", "a 25, gamma 4.5, kT 1, t = 0.4", slopes[at], Estimate(0.015, 0.003), "earlier study"),
+        row(
+            "d eta / d gamma, tangent",
+            "a 25, gamma 4.5, kT 1, t = 0.4",
+            slopes[at],
+            Estimate(0.015, 0.003),
+            "earlier study",
+        ),
     ]
 
 
@@ -240,7 +334,15 @@ def growth():
         late = (times > 1.2) & (times < 3.6)
         (rate, _), cov = np.polyfit(times[late], spread[late], 1, cov=True)
         value = Estimate(float(rate), float(math.sqrt(cov[0, 0])))
-        rows.append(row("growth rate of a tangent", f"{name}, kT 1", value, "about 2.7", "earlier study, a 0"))
+        rows.append(
+            row(
+                "growth rate of a tangent",
+                f"{name}, kT 1",
+                value,
+                "about 2.7",
+                "earlier study, a 0",
+            )
+        )
     return rows
 
 
@@ -261,7 +363,14 @@ def identities():
     def slopes(matter, state, keys, dt, name, observe, duration, windows):
         def one(s, k):
             def f(x):
-                t = dpd.simulate(matter.set(**{name: x}), s, k, dt, dpd.Plan(10, round(duration / dt / 10)), observe=observe)
+                t = dpd.simulate(
+                    matter.set(**{name: x}),
+                    s,
+                    k,
+                    dt,
+                    dpd.Plan(10, round(duration / dt / 10)),
+                    observe=observe,
+                )
                 return t.frames["value"][-1], t.final
 
             return jax.jvp(f, (matter.value(name),), (jnp.ones(()),), has_aux=True)
@@ -290,47 +399,114 @@ def identities():
 def main_job():
     """The README's main job with twelve seeds, and against LAMMPS at the gamma they give.
 
-    Seed 0 is the README's. The scatter is that of the answers, over the errors they state. LAMMPS runs of this fluid at other
-    frictions nearby are brought to the mean one by the slope of the calibrations, at a lower rate of shear.
+    Seed 0 is the README's. The scatter is that of the answers, over the errors they state. LAMMPS
+    runs of this fluid at other frictions nearby are brought to the mean one by the slope of the
+    calibrations, at a lower rate of shear.
     """
     matter = fluid(2.5, 4.5, 0.1)
-    fits = [dpd.calibrate(matter, "gamma", viscosity=1.1, key=jax.random.key(seed)) for seed in range(12)]
+    fits = [
+        dpd.calibrate(matter, "gamma", viscosity=1.1, key=jax.random.key(seed))
+        for seed in range(12)
+    ]
     gammas = np.array([fit.value for fit in fits])
     gamma = from_replicas(gammas)
     scatter = np.std([(fit.value - gamma.value) / fit.error for fit in fits], ddof=1)
     x = math.log(gamma.value)
     slope = np.mean([fit.curve.slope(x) for fit in fits])
     runs = json.loads((HERE / "lammps.json").read_text())
-    runs = [r for r in runs if (r["repulsion"], r["rate"]) == (2.5, 0.1) and abs(r["gamma"] / gamma.value - 1) < 0.05]
+    runs = [
+        r
+        for r in runs
+        if (r["repulsion"], r["rate"]) == (2.5, 0.1) and abs(r["gamma"] / gamma.value - 1) < 0.05
+    ]
     brought = [r["viscosity"] + slope * (x - math.log(r["gamma"])) for r in runs]
     weights = np.array([r["viscosity_error"] for r in runs]) ** -2.0
     referee = Estimate(np.average(brought, weights=weights), weights.sum() ** -0.5, len(runs))
     first, where = fits[0], f"a 2.5, kT 0.1, gamma {gamma.value:.2f}"
     seconds = f"{np.median([fit.seconds for fit in fits]):.0f} s each"
-    told = lambda fit: f"fresh run {fit.measured}, {fit.particle_steps:.2g} particle-steps, {fit.seconds:.0f} s"
+    told = lambda fit: (
+        f"fresh run {fit.measured}, {fit.particle_steps:.2g} particle-steps, {fit.seconds:.0f} s"
+    )
     others = [
-        row(f"gamma of viscosity 1.1, seed {seed}", "a 2.5, kT 0.1", fit.estimate, gamma.value, "the mean of all", told(fit))
-        for seed, fit in enumerate(fits) if seed > 0
-    ]  # fmt: skip
+        row(
+            f"gamma of viscosity 1.1, seed {seed}",
+            "a 2.5, kT 0.1",
+            fit.estimate,
+            gamma.value,
+            "the mean of all",
+            told(fit),
+        )
+        for seed, fit in enumerate(fits)
+        if seed > 0
+    ]
     return others + [
-        row("gamma of viscosity 1.1, seed 0", "a 2.5, kT 0.1", first.estimate, 45.0, "the guess of seed 000", told(first)),
-        row("viscosity, fresh run, seed 0", f"a 2.5, kT 0.1, gamma {first.value:.2f}", first.measured, 1.1, "target"),
-        row("gamma of viscosity 1.1, mean", "a 2.5, kT 0.1", gamma, 45.0, "the guess of seed 000", seconds),
-        row("scatter of gamma over its error", "a 2.5, kT 0.1", Estimate(scatter, scatter / math.sqrt(22)), 1.0, "exact"),
-        row("viscosity, fresh runs, mean", where, from_replicas([fit.measured.value for fit in fits]), 1.1, "target"),
-        row("viscosity, LAMMPS, dt 0.0005, rate 0.1", where, referee, 1.1, "target, within 3 %", f"{len(runs)} runs"),
+        row(
+            "gamma of viscosity 1.1, seed 0",
+            "a 2.5, kT 0.1",
+            first.estimate,
+            45.0,
+            "the guess of seed 000",
+            told(first),
+        ),
+        row(
+            "viscosity, fresh run, seed 0",
+            f"a 2.5, kT 0.1, gamma {first.value:.2f}",
+            first.measured,
+            1.1,
+            "target",
+        ),
+        row(
+            "gamma of viscosity 1.1, mean",
+            "a 2.5, kT 0.1",
+            gamma,
+            45.0,
+            "the guess of seed 000",
+            seconds,
+        ),
+        row(
+            "scatter of gamma over its error",
+            "a 2.5, kT 0.1",
+            Estimate(scatter, scatter / math.sqrt(22)),
+            1.0,
+            "exact",
+        ),
+        row(
+            "viscosity, fresh runs, mean",
+            where,
+            from_replicas([fit.measured.value for fit in fits]),
+            1.1,
+            "target",
+        ),
+        row(
+            "viscosity, LAMMPS, dt 0.0005, rate 0.1",
+            where,
+            referee,
+            1.1,
+            "target, within 3 %",
+            f"{len(runs)} runs",
+        ),
     ]
 
 
 ROOMS = (
-    pressure, temperature, ideal_shear, ideal_equilibrium, ideal_sine, water_shear,
-    slope_ideal, slope_water, growth, identities, main_job,
-)  # fmt: skip
+    pressure,
+    temperature,
+    ideal_shear,
+    ideal_equilibrium,
+    ideal_sine,
+    water_shear,
+    slope_ideal,
+    slope_water,
+    growth,
+    identities,
+    main_job,
+)
 
 
 HEADING = """# Physics at production accuracy
 
-Written by `python tests/physics/measure.py`; do not edit. Reduced units, density 3, standard errors."""
+Written by `python tests/physics/measure.py`; do not edit.
+Reduced units, density 3, standard errors."""
 
 
 def measure(names=()):

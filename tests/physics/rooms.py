@@ -1,4 +1,5 @@
-"""Rooms of measurements: each a function that returns rows of a table; results are kept as they come."""
+"""Rooms of measurements: each a function that returns rows of a table; results are kept as they
+come."""
 
 import datetime
 import inspect
@@ -22,13 +23,22 @@ def row(quantity, state, value, reference="", source="", note=""):
     def plain(v):
         return [v.value, v.error] if isinstance(v, Estimate) else v
 
-    return dict(quantity=quantity, state=state, value=plain(value), reference=plain(reference), source=source, note=note)
+    return dict(
+        quantity=quantity,
+        state=state,
+        value=plain(value),
+        reference=plain(reference),
+        source=source,
+        note=note,
+    )
 
 
 def measure(rooms, names, data: str, page: str, heading: str):
-    """Run the named rooms (all by default), and write the data (JSON) and the page (Markdown) after each.
+    """Run the named rooms (all by default), and write the data (JSON) and the page (Markdown) after
+    each.
 
-    The first line of a room's docstring is its title; the rest says below its table what the numbers mean.
+    The first line of a room's docstring is its title; the rest says below its table what the
+    numbers mean.
     """
     file = HERE / data
     for room in rooms:
@@ -36,18 +46,26 @@ def measure(rooms, names, data: str, page: str, heading: str):
             continue
         began = time.monotonic()
         rows = room()
-        results = json.loads(file.read_text()) if file.exists() else {}  # now: other rooms may run beside this one
+        results = (
+            json.loads(file.read_text()) if file.exists() else {}
+        )  # now: other rooms may run beside this one
         results[room.__name__] = {
             "title": title_and_text(room)[0],
             "date": datetime.date.today().isoformat(),
-            "versions": f"dpdjax {dpd.__version__}, jax {jax.__version__}, Python {platform.python_version()}",
+            "versions": f"dpdjax {dpd.__version__}, jax {jax.__version__}, Python "
+            f"{platform.python_version()}",
             "device": jax.devices()[0].device_kind,
             "seconds": round(time.monotonic() - began),
             "rows": rows,
         }
         file.write_text(json.dumps(results, indent=1) + "\n")
         (HERE / page).write_text(table(rooms, results, heading))
-        print(f"{room.__name__}: {results[room.__name__]['seconds']} s", *map(text, rows), sep="\n  ", flush=True)
+        print(
+            f"{room.__name__}: {results[room.__name__]['seconds']} s",
+            *map(text, rows),
+            sep="\n  ",
+            flush=True,
+        )
 
 
 def stacked(states):
@@ -61,7 +79,10 @@ def title_and_text(room) -> tuple[str, str]:
 
 
 def text(r) -> str:
-    return f"{r['quantity']} | {r['state']} | {shown(r['value'])} | {shown(r['reference'])} | {r['source']} | {r['note']}"
+    return (
+        f"{r['quantity']} | {r['state']} | {shown(r['value'])} | {shown(r['reference'])} | "
+        f"{r['source']} | {r['note']}"
+    )
 
 
 def shown(value) -> str:
@@ -76,8 +97,17 @@ def table(rooms, results, heading: str) -> str:
         if room.__name__ not in results:
             continue
         r = results[room.__name__]
-        lines += ["", f"## {r['title']}", "", f"{r['date']}, {r['versions']}, {r['device']}, {r['seconds']} s", ""]
-        lines += ["| quantity | state | value | reference | source | note |", "|---|---|---|---|---|---|"]
+        lines += [
+            "",
+            f"## {r['title']}",
+            "",
+            f"{r['date']}, {r['versions']}, {r['device']}, {r['seconds']} s",
+            "",
+        ]
+        lines += [
+            "| quantity | state | value | reference | source | note |",
+            "|---|---|---|---|---|---|",
+        ]
         lines += [f"| {text(line)} |" for line in r["rows"]]
         said = title_and_text(room)[1]
         lines += ["", said] if said else []

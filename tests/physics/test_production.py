@@ -1,7 +1,8 @@
 """Judges the production measurements; run ``python -m pytest -m slow``.
 
-Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md, SUSPENSIONS.md or
-MARBLES.md. The drag of a marble is judged by the pieces of marbles.csv, which took hours.
+Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md,
+SUSPENSIONS.md or MARBLES.md. The drag of a marble is judged by the pieces of marbles.csv, which
+took hours.
 """
 
 import json
@@ -31,7 +32,9 @@ def within(pair, relative, sigmas=2.0):
     """Whether value and reference agree within a share of the reference, errors allowed for."""
     value, reference = pair
     target = reference.value if isinstance(reference, Estimate) else reference
-    error = (value.error**2 + (reference.error**2 if isinstance(reference, Estimate) else 0.0)) ** 0.5
+    error = (
+        value.error**2 + (reference.error**2 if isinstance(reference, Estimate) else 0.0)
+    ) ** 0.5
     return abs(value.value - target) <= relative * abs(target) + sigmas * error
 
 
@@ -41,7 +44,10 @@ def by_quantity(rows, quantity):
 
 def test_statics_of_water():
     rows = measured("pressure")
-    (pressure,), (energy,) = by_quantity(rows, "pressure"), by_quantity(rows, "excess energy density")
+    (pressure,), (energy,) = (
+        by_quantity(rows, "pressure"),
+        by_quantity(rows, "excess energy density"),
+    )
     assert within(pressure, 0.005) and within(energy, 0.005)
     # HNC is good to 2 % at the peak, and poorer where beads overlap.
     for name, share in (("g(r) at 0.88", 0.02), ("g(r) at 1.19", 0.02), ("g(r) at 0.50", 0.06)):
@@ -96,7 +102,9 @@ def test_main_job_against_lammps_and_its_own_errors():
     rows = measured("main_job")
     for name in ("viscosity, LAMMPS, dt 0.0005, rate 0.1", "viscosity, fresh runs, mean"):
         assert all(within(pair, 0.03, 1.0) for pair in by_quantity(rows, name)), name
-    assert all(within(pair, 0.0, 3.0) for pair in by_quantity(rows, "scatter of gamma over its error"))
+    assert all(
+        within(pair, 0.0, 3.0) for pair in by_quantity(rows, "scatter of gamma over its error")
+    )
 
 
 def suspended(room):
@@ -114,7 +122,10 @@ def test_solvent_and_colloids_have_one_temperature():
 
 def test_colloids_diffuse_between_stick_and_slip():
     rows = suspended("diffusion")
-    (stick, _), (slip, _) = (by_quantity(rows, f"D over {name}")[0] for name in ("stick, kT/(6 pi eta R)", "slip, kT/(4 pi eta R)"))
+    (stick, _), (slip, _) = (
+        by_quantity(rows, f"D over {name}")[0]
+        for name in ("stick, kT/(6 pi eta R)", "slip, kT/(4 pi eta R)")
+    )
     # Neighbours slow a sphere with stick to 0.90 of it.
     assert stick.value + 2 * stick.error > 0.9 and slip.value - 2 * slip.error < 1.0
 
@@ -125,7 +136,10 @@ def test_viscosity_of_suspensions_lies_near_that_of_hard_spheres():
     assert all(value.error < 0.02 * value.value for value, _ in relative)
     slip = (1.05, 1.10, 1.20)
     for (value, batchelor), least in zip(relative, slip):
-        assert value.value + 2 * value.error > least and value.value - 2 * value.error < 1.1 * batchelor
+        assert (
+            value.value + 2 * value.error > least
+            and value.value - 2 * value.error < 1.1 * batchelor
+        )
 
 
 def test_pairs_without_repulsion_by_the_solvent_follow_their_potential():
@@ -160,9 +174,18 @@ def test_marbles_diffuse_as_spheres_whose_slip_is_tuned():
     rows = rolled("marble")
     D = {where: value for (name, where), (value, _) in rows.items() if name == "D, drag"}
     pulled = D["L 10, gamma_cs 5"]
-    assert pulled.error < 0.04 * pulled.value and D["L 20, gamma_cs 5"].error < 0.08 * D["L 20, gamma_cs 5"].value
-    assert all(pulled.deviation(D[f"L 10, gamma_cs 5, {other}"]) < 3 for other in ("half the force", "reaction on the others"))
-    assert all(pulled.deviation(rows[f"D, {way}", "L 10, gamma_cs 5, all runs"][0]) < 3 for way in ("displacement", "velocity"))
+    assert (
+        pulled.error < 0.04 * pulled.value
+        and D["L 20, gamma_cs 5"].error < 0.08 * D["L 20, gamma_cs 5"].value
+    )
+    assert all(
+        pulled.deviation(D[f"L 10, gamma_cs 5, {other}"]) < 3
+        for other in ("half the force", "reaction on the others")
+    )
+    assert all(
+        pulled.deviation(rows[f"D, {way}", "L 10, gamma_cs 5, all runs"][0]) < 3
+        for way in ("displacement", "velocity")
+    )
     few, many = D["L 10, gamma_cs 1"], D["L 10, gamma_cs 20"]
     assert few.value - pulled.value > 3 * few.error and pulled.value > many.value - 3 * many.error
     radius, _ = rows["hydrodynamic radius", "L 10, gamma_cs 5, L 15, gamma_cs 5, L 20, gamma_cs 5"]
