@@ -11,6 +11,8 @@ from dpdjax.measure.needs import HOT, RARELY, is_off
 
 FLUCTUATIONS = 5.0
 """Standard deviations of the temperature of few beads that are no excess."""
+FEW = 20
+"""Frames from which on a mean temperature is looked at."""
 
 
 def warn_if_hot(trajectory, stacklevel: int = 3):
@@ -49,7 +51,7 @@ def _told(last: float, kT: float, recorded, allowed: float, flow):
             f"= {kT:.3g}"
         )
         return last / kT - 1, f"{ends}: {_cause(flow, _drifts(recorded))}"
-    steady = None if _drifts(later) else is_off(later, kT)
+    steady = None if len(later) < FEW or _drifts(later) else is_off(later, kT)
     if steady is None:
         return None
     stays = (

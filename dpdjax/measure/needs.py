@@ -16,8 +16,8 @@ PIECES = 10
 HOT, WARM, OFF = 0.25, 0.05, 0.02
 """Shares of kT by which the kinetic temperature may be off: at the end of a run, on average, and on
 average beyond doubt."""
-SURELY = 4.0
-"""Standard errors by which a temperature is off beyond doubt."""
+SURELY, FEWEST = 4.0, 8
+"""Standard errors, of so many blocks, by which a temperature is off beyond doubt."""
 
 
 def finished(trajectory):
@@ -88,7 +88,11 @@ def is_off(temperatures, kT: float):
         return None
     found = block_average(series)
     share = abs(found.value / kT - 1.0)
-    return found.value if share > WARM or (share > OFF and found.deviation(kT) > SURELY) else None
+    return (
+        found.value
+        if share > WARM or (share > OFF and found.deviation(kT) > SURELY and found.blocks >= FEWEST)
+        else None
+    )
 
 
 def _temperature_of(trajectory, velocity):
