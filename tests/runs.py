@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 import dpdjax as dpd
 from dpdjax.engine.box import Box, wrap
 from dpdjax.engine.flow import quiet
+from dpdjax.engine.system import System
 
 VISCOSITY, STORAGE, LOSS = 0.85, 0.4, 2.55
 DIFFUSION, ROTATION = 0.3, 0.05
@@ -108,7 +109,7 @@ def one(fluid, state, flow, *, seed: int, count: int, starts: bool = False):
     frames |= (
         stresses(rng, flow, time, late) | places(rng, state, flow, time) | turns(rng, flow, count)
     )
-    return dpd.Trajectory(state, frames, fluid, flow, DT, EVERY)
+    return dpd.Trajectory(state, frames, System.of(fluid, DT, flow), EVERY)
 
 
 def stresses(rng, flow, time, late):

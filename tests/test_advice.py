@@ -12,7 +12,8 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import advice
-from dpdjax.engine.simulate import check_dt
+from dpdjax.engine.refusals import check_dt
+from dpdjax.engine.system import System
 
 DENSITY = np.array([3.0, 0.05])
 """Solvent beads and colloids per volume."""
@@ -103,13 +104,13 @@ def test_dt_above_a_limit_is_refused_by_name_and_the_suggested_one_passes(what):
     fluid = dpd.colloid_fluid(**LIMITED[what])
     state = spread_evenly(fluid)
     least = min(limit for _, limit in advice.dt_limits(fluid, DENSITY))
-    check_dt(fluid, state, 0.99 * least)
+    check_dt(System.of(fluid, 0.99 * least), state)
     with pytest.raises(
         ValueError, match=f"dt .* is too large for the {what}: .* use dt = "
     ) as refused:
-        check_dt(fluid, state, 1.01 * least)
+        check_dt(System.of(fluid, 1.01 * least), state)
     passes = float(str(refused.value).split("use dt = ")[1].split()[0])
-    check_dt(fluid, state, passes)
+    check_dt(System.of(fluid, passes), state)
     assert passes == pytest.approx(advice.suggest_dt(fluid, DENSITY), rel=0.05)
 
 
@@ -205,7 +206,7 @@ def made(key):
 
 
 def test_default_dt_of_a_suspension_passes(made, key):
-    check_dt(made.fluid, made.state, made.dt)
+    check_dt(System.of(made.fluid, made.dt), made.state)
     with pytest.raises(ValueError, match="too large for the lubrication.* use dt = "):
         dpd.simulate(made.fluid, made.state, key, made.dt / 0.69, dpd.Plan(1))
 
@@ -217,7 +218,7 @@ def test_a_run_warns_and_goes_on(made, key, monkeypatch):
         began.append(None)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules[dpd.run.__module__], "replayed", replayed)
+    monkeypatch.setattr(sys.modules[dpd.stream.__module__], "replayed", replayed)
     with pytest.warns(UserWarning, match="box side 7 is small") as seen:
         dpd.run(made.fluid, made.state, key, made.dt, dpd.Plan(2, 10), progress=False)
     assert began and len(seen) == 1 and seen[0].filename == __file__

@@ -16,7 +16,8 @@ ROOMS = ["model", "engine", "prepare", "measure", "calibration"]
 HOST = {"host", "cli"}
 ENGINE = (
     "compensated compiling status batching noise box rotation advice flow cells neighbours state "
-    "order forces observables step soundness motion record simulate chunk"
+    "order forces observables integrator system soundness motion record trajectory refusals "
+    "simulate chunk"
 ).split()
 """The files of the engine, each built on those before it."""
 

@@ -10,6 +10,7 @@ import pytest
 import dpdjax as dpd
 from dpdjax.engine import batching
 from dpdjax.engine.batching import all_at_once, each_member, one_by_one, where_needed
+from dpdjax.engine.system import System
 
 NEEDED = jnp.array([[True, False, True], [False, False, True]])
 OLD = {"x": jnp.arange(6.0).reshape(2, 3), "k": jnp.arange(24).reshape(2, 3, 4)}
@@ -89,7 +90,9 @@ def scanned(water, fresh, key):
     fluid = water.set(gamma=jnp.array([2.0, 2.0, 2.0, 9.0, 9.0, 9.0]))
     final = jax.tree.map(lambda x: jnp.stack([x] * 6), fresh)
     return dpd.Trajectory(
-        final, {"number": np.arange(12).reshape(6, 2)}, fluid, dpd.shear(jnp.arange(6.0)), 0.01
+        final,
+        {"number": np.arange(12).reshape(6, 2)},
+        System.of(fluid, 0.01, dpd.shear(jnp.arange(6.0))),
     )
 
 
@@ -111,14 +114,13 @@ def test_members_are_chosen_by_number_slice_or_list(scanned):
 
 
 def test_members_that_fail_are_named_with_their_numbers(scanned):
-    failed = sys.modules[dpd.run.__module__]._failed
-    numbers = scanned.fluid, scanned.dt, scanned.flow
-    told = failed({1: "before"}, np.uint32([0, 4, 0, 0, 4, 0]), numbers, "stopped")
+    failed = sys.modules[dpd.stream.__module__]._failed
+    told = failed({1: "before"}, np.uint32([0, 4, 0, 0, 4, 0]), scanned.system, "stopped")
     assert told.keys() == {1, 4} and told[1] == "before"
     assert told[4].startswith(
-        "member 4 (rate = 4., gamma = 9.) of 6 stopped: positions or velocities became NaN"
+        "member 4 (gamma = 9., rate = 4.) of 6 stopped: positions or velocities became NaN"
     )
-    alone = failed({}, np.uint32(4), (scanned[0].fluid, 0.01, scanned[0].flow), "stopped")
+    alone = failed({}, np.uint32(4), scanned[0].system, "stopped")
     assert alone[0].startswith("stopped: positions")
 
 

@@ -259,7 +259,7 @@ def noisy_boxes(monkeypatch, seed, memory=0.5):
         return state, {"value": -values}
 
     monkeypatch.setattr(experiment, "replayed", replayed)
-    monkeypatch.setattr(experiment, "check_dt", lambda fluid, state, dt: None)
+    monkeypatch.setattr(experiment, "check_dt", lambda system, state: None)
     monkeypatch.setattr(experiment, "thermal_time", lambda fluid: 1.0)
     goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=SimpleNamespace(rate=0.3))
     state = Boxes(np.zeros((4, 10, 3)), np.zeros(4, np.uint32))

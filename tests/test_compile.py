@@ -18,7 +18,7 @@ from dpdjax.calibration.goal import viscosity_goal
 from dpdjax.engine import chunk, compiling
 from dpdjax.host import progress
 
-host_run = importlib.import_module("dpdjax.host.run")
+host_run = importlib.import_module("dpdjax.host.stream")
 
 PLAN = dpd.Plan(3, 7)  # no other test has it
 

@@ -9,6 +9,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.advice import pair_frequency
+from dpdjax.engine.system import System
 
 
 def repulsion(**coefficients):
@@ -222,7 +223,7 @@ def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
 
 
 def test_states_and_fluids_that_are_something_else(water, fresh, key):
-    made = dpd.Trajectory(fresh, {}, water, None, 0.01)
+    made = dpd.Trajectory(fresh, {}, System.of(water, 0.01))
     for door in (dpd.run, dpd.simulate):
         for fluid, state, parts in (
             (water, made, ("state is a Trajectory", "give its .final")),

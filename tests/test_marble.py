@@ -407,8 +407,16 @@ def test_order_of_rotation(lam, order, touching, key):
     fluid, start = touching
 
     def spins(steps, lam=lam):
+        how = dpd.VelocityVerlet(lam)
         final = jax.jit(
-            lambda s: dpd.simulate(fluid, s, key, 0.3 / steps, dpd.Plan(2, steps // 2), lam=lam)
+            lambda s: dpd.simulate(
+                fluid,
+                s,
+                key,
+                0.3 / steps,
+                dpd.Plan(2, steps // 2),
+                integrator=how,
+            )
         )(start).final
         assert final.status == 0
         return np.concatenate(

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 import dpdjax as dpd
 from dpdjax.engine.box import wrap
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.system import System
 from dpdjax.measure.needs import warn_of_drift
 
 
@@ -53,7 +53,7 @@ def test_a_start_up_is_told(water, fresh, key):
 
 def synthetic(fluid, state, flow, **frames):
     frames = {"time": np.arange(200.0), "step": np.arange(200)} | frames
-    return dpd.Trajectory(state, frames, fluid, flow, 0.01)
+    return dpd.Trajectory(state, frames, System.of(fluid, 0.01, flow))
 
 
 def test_equilibrium_viscosities_refuse_driven_runs(water, fresh):
@@ -116,7 +116,7 @@ def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
             "image": image,
             "unwrapped": unwrapped,
         }
-        run = dpd.Trajectory(fresh, record, ideal, quiet(), 1.0)
+        run = dpd.Trajectory(fresh, record, System.of(ideal, 1.0))
         measured[far] = dpd.mean_squared_displacement(run, t_max=4.0).value
     np.testing.assert_allclose(measured[100_000], measured[0], rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(measured[0][1:], 3e-6 * np.arange(1, 5), rtol=0.1)
@@ -136,7 +136,7 @@ def test_what_is_no_run_is_told(fresh, water):
             ):
                 measure(given)
     with pytest.raises(ValueError, match="recorded no frame: it was interrupted"):
-        dpd.shear_viscosity(dpd.Trajectory(fresh, {}, water, dpd.shear(0.1), 0.01))
+        dpd.shear_viscosity(dpd.Trajectory(fresh, {}, System.of(water, 0.01, dpd.shear(0.1))))
 
 
 def test_failed_and_hot_runs_are_told(water, fresh):

@@ -13,7 +13,9 @@ from dpdjax.engine import cells, forces
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine.batching import on_cpu
 from dpdjax.engine.forces import pair_force
+from dpdjax.engine.record import recorders
 from dpdjax.engine.simulate import advance
+from dpdjax.engine.system import System
 
 BOXES = [
     ((4.2, 4.2, 4.2), 222),
@@ -368,7 +370,11 @@ def guards_a_build(eqn):
 @pytest.mark.parametrize("batches", [0, 1, 2])
 def test_list_updates_stay_a_branch_under_vmap(batches, water, quiet_water, key):
     run = lambda gamma, key: advance(
-        water.set(gamma=gamma), quiet_water, key, 0.01, dpd.Plan(2, 5), dpd.shear(1.0), None
+        System.of(water.set(gamma=gamma), 0.01, dpd.shear(1.0)),
+        quiet_water,
+        key,
+        dpd.Plan(2, 5),
+        recorders(None),
     )
     gamma, keys = 4.5, key
     if batches > 0:

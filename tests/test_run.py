@@ -13,7 +13,7 @@ from dpdjax.engine import chunk
 from dpdjax.engine import neighbours as lists
 from dpdjax.host import io
 
-host = sys.modules[dpd.run.__module__]
+host = sys.modules[dpd.stream.__module__]
 chunk_frames = host.chunk_frames
 
 DT, FLOW, PIECE = 0.01, dpd.shear(1.0), dpd.Plan(2, 5)

@@ -17,6 +17,7 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine import noise, order
 from dpdjax.engine.forces import pair_force
 from dpdjax.engine.state import masses, radii
+from dpdjax.engine.system import System
 
 DT = 1e-3
 NUMBERS = dict(kT=0.1, gamma=4.5, eta_0=0.3, D0=1.2, kappa=30.0)
@@ -304,7 +305,7 @@ def test_relative_viscosity_is_that_at_the_density_between(settled, suspended, k
     stress = -0.8 + 0.1 * rng.normal(size=(2, 40, 1, 1)) * np.ones((1, 1, 3, 3))
     final = jax.tree.map(lambda x: jnp.stack([x, x]), wide)
     frames = {"pressure_tensor": stress, "time": np.zeros((2, 40))}
-    sheared = dpd.Trajectory(final, frames, suspended.fluid, dpd.shear(1.0), DT)
+    sheared = dpd.Trajectory(final, frames, System.of(suspended.fluid, DT, dpd.shear(1.0)))
     found = dpd.relative_viscosity(sheared, key=key, tolerance=0.1)
     assert (
         found.value == pytest.approx(dpd.shear_viscosity(sheared).value / 0.5)

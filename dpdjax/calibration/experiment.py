@@ -17,11 +17,13 @@ from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal
 from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.compiling import is_new
-from dpdjax.engine.flow import quiet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
-from dpdjax.engine.simulate import Plan, advance, check_dt
+from dpdjax.engine.refusals import check_dt
+from dpdjax.engine.simulate import advance
 from dpdjax.engine.state import grow
+from dpdjax.engine.system import System
+from dpdjax.engine.trajectory import Plan
 from dpdjax.measure.needs import HOT, WARM
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
@@ -113,7 +115,7 @@ def _equilibrate(bench):
     thermal = thermal_time(weak)
     dt = min(0.01 * thermal, 2 * suggest_dt(weak, bench.density))
     for _ in range(math.ceil(5 * thermal / (dt * EQUILIBRATION.steps) * (1 - 1e-6))):
-        bench.state, _ = _replayed(bench, weak, dt, EQUILIBRATION, quiet(), standard)
+        bench.state, _ = _replayed(bench, System.of(weak, dt), EQUILIBRATION, standard)
         bench.steps += EQUILIBRATION.steps * bench.beads
 
 
@@ -228,22 +230,23 @@ def _refuse_heat(bench, fluid, dt, temperature):
 def _check_dt(fluid, state, dt):
     """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next
     drag."""
-    check_dt(fluid, jax.tree.map(lambda leaf: leaf[0], state), dt)
+    check_dt(System.of(fluid, dt), jax.tree.map(lambda leaf: leaf[0], state))
 
 
 def _extend(bench, fluid, dt):
     plan, goal = PIECE, bench.goal
-    bench.state, frames = _replayed(bench, fluid, dt, plan, goal.flow, mean(goal.observe))
+    system = System.of(fluid, dt, goal.flow)
+    bench.state, frames = _replayed(bench, system, plan, mean(goal.observe))
     bench.steps += plan.steps * bench.beads
     return jax.device_get(frames)
 
 
-def _replayed(bench, fluid, dt, plan, flow, observe):
+def _replayed(bench, system: System, plan, observe):
     """:func:`replayed` from the states of a bench, with an error where growth could not repair the
     run."""
     say = lambda: bench.report("compiling")
     after, frames = replayed(
-        fluid, bench.state, bench.keys, dt, plan, flow, tuple(recorders(observe)), compiling=say
+        system, bench.state, bench.keys, plan, tuple(recorders(observe)), compiling=say
     )
     trouble = bits.describe(after.status)
     if trouble:
@@ -320,7 +323,7 @@ def window_tangents(bench, fluid, names, k, dt, plan):
     trips, shape, goal = trips_of(plan), shape_of(plan, bench.beads), bench.goal
     along = np.eye(len(names))[k]
     for _ in range(8):
-        arguments = (fluid, bench.state, bench.keys, dt, goal.flow, along)
+        arguments = (System.of(fluid, dt, goal.flow), bench.state, bench.keys, along)
         if is_new(arguments, (names, shape, "tangent"), (goal.observe,)):
             bench.report("compiling")
         slopes, after = _tangent(*arguments, trips, names, shape, goal.observe)
@@ -336,19 +339,19 @@ def window_tangents(bench, fluid, names, k, dt, plan):
 
 
 @functools.partial(jax.jit, static_argnames=("names", "shape", "observe"))
-def _tangent(fluid, state, keys, dt, flow, along, trips, names, shape, observe):
+def _tangent(system: System, state, keys, along, trips, names, shape, observe):
     """Derivative of the value along a direction in ``ln parameters``, (boxes, frames), and the
     states after the window.
 
     The direction is given to the program: one serves all parameters.
     """
-    here = jnp.log(
-        jnp.stack([jnp.asarray(fluid.value(name), state.position.dtype) for name in names])
-    )
+    value = lambda name: jnp.asarray(system.fluid.value(name), state.position.dtype)
+    here, how = jnp.log(jnp.stack([value(name) for name in names])), recorders(mean(observe))
 
     def values(x, state, key):
-        moved = fluid.set(energies="keep", **dict(zip(names, jnp.exp(x))))
-        trajectory = advance(moved, state, key, dt, shape, flow, mean(observe), trips=trips)
+        fluid = system.fluid.set(energies="keep", **dict(zip(names, jnp.exp(x))))
+        moved = dataclasses.replace(system, fluid=fluid)
+        trajectory = advance(moved, state, key, shape, how, trips=trips)
         return trajectory.frames["value"], trajectory.final
 
     def one(state, key):

@@ -27,34 +27,30 @@ def apart(function, inputs, number):
     return jax.lax.cond(jnp.isfinite(number), function, empty, *inputs)
 
 
-def batch_axes(fluid, dt, flow):
-    """The ``in_axes`` for ``jax.vmap`` of the numbers of a run: 0 for those with an axis of their
-    own, which are a batch."""
-    return fluid.batch_axes(), 0 if jnp.ndim(dt) else None, flow.batch_axes()
+def lengths_of(tree, axes) -> set[int]:
+    """The lengths of the batches in a tree of numbers; ``axes``, a prefix of it, are 0 or None."""
+    length = lambda axis, leaf: None if axis is None else len(leaf)
+    return set(jax.tree.leaves(jax.tree.map(length, axes, tree, is_leaf=lambda axis: axis is None)))
 
 
-def differing(fluid, dt, flow) -> dict:
-    """The numbers of a run that differ from member to member, by their innermost name: (members,
-    ...) each, known values."""
-    numbers, found = (fluid, dt, flow), {}
+def differing(tree, axes) -> dict:
+    """The numbers of a tree that differ from member to member, by their innermost name: (members,
+    ...) each, known values; ``axes`` as for :func:`lengths_of`."""
+    found = {}
 
     def note(path, axis, values):
         if axis is not None and np.ptp(np.asarray(values), axis=0).any():
             names = [getattr(key, "name", getattr(key, "key", None)) for key in path]
             found[[name for name in names if name is not None][-1]] = np.asarray(values)
 
-    named = [dict(zip(("fluid", "dt", "flow"), trees)) for trees in (batch_axes(*numbers), numbers)]
-    jax.tree_util.tree_map_with_path(note, *named, is_leaf=lambda axis: axis is None)
+    jax.tree_util.tree_map_with_path(note, axes, tree, is_leaf=lambda axis: axis is None)
     return found
 
 
-def named(member: int, numbers) -> str:
-    """A member of a batch with those of its ``numbers``, (fluid, dt, flow), that differ from member
-    to member."""
-    own = ", ".join(
-        f"{name} = {np.array2string(values[member], precision=6)}"
-        for name, values in differing(*numbers).items()
-    )
+def named(member: int, differing: dict) -> str:
+    """A member of a batch with those of its numbers that differ from member to member."""
+    shown = lambda values: np.array2string(values[member], precision=6)
+    own = ", ".join(f"{name} = {shown(values)}" for name, values in differing.items())
     return f"member {member}" + (f" ({own})" if own else "")
 
 

@@ -11,10 +11,12 @@ import numpy as np
 from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine import status as bits
-from dpdjax.engine.batching import batch_axes, each_member
+from dpdjax.engine.batching import each_member
 from dpdjax.engine.compiling import is_new
-from dpdjax.engine.simulate import Plan, advance
+from dpdjax.engine.simulate import advance
 from dpdjax.engine.state import State, grow
+from dpdjax.engine.system import System
+from dpdjax.engine.trajectory import Plan
 
 MAX_GROWTHS = 20
 
@@ -52,30 +54,28 @@ def complete_lists(state: State) -> State:
 
 
 def replayed(
-    fluid,
+    system: System,
     state: State,
     key,
-    dt,
     plan: Plan,
-    flow,
-    observe: tuple,
-    lam=0.5,
-    shape=None,
+    how: tuple,
+    shape: Plan | None = None,
     compiling=lambda: None,
 ):
     """Run a plan; grow the lists and replay it with the same noise until nothing overflows.
 
-    ``state``, ``key`` and any number may be a batch. Returns (final state, frames on the host); the
-    status of the state holds what growth could not repair. Plans share one program as far as
-    :func:`shape_of` goes, or that of another plan is given, with as much room for frames;
-    ``compiling()`` is called before another is made.
+    ``state``, ``key`` and any number may be a batch; ``how`` are recorders. Returns (final state,
+    frames on the host); the status of the state holds what growth could not repair. Plans share one
+    program as far as :func:`shape_of` goes, or that of another plan is given, with as much room for
+    frames; ``compiling()`` is called before another is made.
     """
     trips = trips_of(plan)
-    shape = shape_of(plan, int(np.prod(state.position.shape[:-1]))) if shape is None else shape
+    beads = int(np.prod(state.position.shape[:-1]))
+    shape = shape_of(plan, beads) if shape is None else shape
     for _ in range(MAX_GROWTHS):
-        if is_new((fluid, dt, flow, lam, state, key), shape, observe):
+        if is_new((system, state, key), shape, how):
             compiling()
-        after, frames = _compiled(fluid, dt, flow, lam, state, key, trips, shape, observe)
+        after, frames = _compiled(system, state, key, trips, shape, how)
         status = np.asarray(after.status)
         # A member that failed may overflow any list: it is given up, and decides nothing for the
         # others.
@@ -123,12 +123,12 @@ def without_failed(before: State, after: State, frames: dict):
     )
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "observe"))
-def _compiled(fluid, dt, flow, lam, state, key, trips, shape, observe):
-    def one(fluid, dt, flow, state, key):
-        trajectory = advance(fluid, state, key, dt, shape, flow, observe, lam, trips=trips)
+@functools.partial(jax.jit, static_argnames=("shape", "how"))
+def _compiled(system: System, state, key, trips, shape, how):
+    def one(system, state, key):
+        trajectory = advance(system, state, key, shape, how, trips=trips)
         return trajectory.final, trajectory.frames
 
     if not key.ndim:
-        return one(fluid, dt, flow, state, key)
-    return each_member(one, (*batch_axes(fluid, dt, flow), 0, 0))(fluid, dt, flow, state, key)
+        return one(system, state, key)
+    return each_member(one, (system.batch_axes(), 0, 0))(system, state, key)

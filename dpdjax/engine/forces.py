@@ -14,6 +14,11 @@ from dpdjax.model.term import ACROSS, ALONG
 
 BLOCK, BLOCKED_FROM = 65_536, 1_000_000
 """Pairs of a block, and of the smallest list worked on in blocks (measured: tests/benchmarks)."""
+CONSERVATIVE, DRAG, RANDOM = ORIGINS
+DRIVEN = "driven"
+EVERYTHING = (*ORIGINS, DRIVEN)
+"""Kinds of force: those of pairs, of which drag alone depends on velocities, and what drives beads
+from outside."""
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -205,34 +210,38 @@ class Words(NamedTuple):
         return tuple(take(self.bead, jnp.minimum(k, n - 1)) for k in (pairs.i, pairs.j))
 
 
-def central_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt):
-    """Energy of each pair, and its forces along ``e`` by origin.
+def central_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt, kinds=ORIGINS):
+    """Energy of each pair, and its forces along ``e`` by origin, of these ``kinds`` (static).
 
     The random force follows from the *sum* of the frictions, so fluctuation and
     dissipation balance for any drag law (Espanol & Warren 1995, eq. 8).
     """
     energy, forces = 0.0, {}
-    for origin, terms in by_origin(interaction.conservative, ORIGINS[0]).items():
+    potentials = interaction.conservative if CONSERVATIVE in kinds else ()
+    for origin, terms in by_origin(potentials, CONSERVATIVE).items():
         potential, forces[origin] = evaluate(terms, pairs, kT, derivative=True)
         energy = energy + potential
     frictions, zeta = friction_by_origin(interaction, pairs, kT, ALONG)
-    for origin, friction in frictions.items():
+    for origin, friction in frictions.items() if DRAG in kinds else ():
         forces[origin] = forces.get(origin, 0.0) - friction * pairs.v
+    if RANDOM not in kinds:
+        return energy, forces
     xi = noise.pair_noise(words.step, *words.of_pairs(pairs), pairs.v.dtype.type)
-    return energy, forces | {ORIGINS[2]: safe_sqrt(2.0 * kT * zeta / dt) * xi}
+    return energy, forces | {RANDOM: safe_sqrt(2.0 * kT * zeta / dt) * xi}
 
 
-def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt):
+def transverse_forces(interaction: Interaction, kT, pairs: Pairs, words: Words, dt, kinds=ORIGINS):
     """Forces perpendicular to ``e`` by origin, each by component: drag on ``across``, and its noise
     by the same projector."""
     frictions, zeta = friction_by_origin(interaction, pairs, kT, ACROSS)
-    forces = {
-        origin: tuple(-friction * u for u in pairs.across) for origin, friction in frictions.items()
-    }
+    opposed = lambda friction: tuple(-friction * u for u in pairs.across)
+    forces = {origin: opposed(f) for origin, f in frictions.items() if DRAG in kinds}
+    if RANDOM not in kinds:
+        return forces
     xi = noise.pair_vector(words.vector, *words.of_pairs(pairs), pairs.v.dtype.type)
     along = sum(x * e for x, e in zip(xi, pairs.e))
     strength = safe_sqrt(2.0 * kT * zeta / dt)
-    return forces | {ORIGINS[2]: tuple(strength * (x - along * e) for x, e in zip(xi, pairs.e))}
+    return forces | {RANDOM: tuple(strength * (x - along * e) for x, e in zip(xi, pairs.e))}
 
 
 def friction_by_origin(interaction: Interaction, pairs: Pairs, kT, projectors: tuple):
@@ -256,28 +265,26 @@ def geometry(fluid, box, beads: Beads, interaction: Interaction, idx, rate, word
 
 
 def interaction_force(
-    fluid, interaction, box, beads: Beads, idx, rate, words: Words, dt, tally: bool
+    fluid, interaction, box, beads: Beads, idx, rate, words: Words, dt, tally: bool, kinds=ORIGINS
 ):
     """Force on each bead (n, 3) from one list, torque (m, 3) or None, and the sums over its pairs
     where asked for."""
     n, dtype = beads.id.shape[0], beads.position[0].dtype
-    turning = not interaction.is_central and beads.spin is not None
+    # Across the line of centres there is drag, and the noise that goes with it.
+    rubs = not interaction.is_central and bool({DRAG, RANDOM} & set(kinds))
+    turning = rubs and beads.spin is not None
 
     def add(sums, part):
         net, torque, totals = sums
         pairs = geometry(fluid, box, beads, interaction, part, rate, words.step)
-        energy, along = central_forces(interaction, fluid.kT, pairs, words, dt)
-        across = (
-            None
-            if interaction.is_central
-            else transverse_forces(interaction, fluid.kT, pairs, words, dt)
-        )
-        push = None if across is None else tuple(map(sum, zip(*across.values())))
+        energy, along = central_forces(interaction, fluid.kT, pairs, words, dt, kinds)
+        across = transverse_forces(interaction, fluid.kT, pairs, words, dt, kinds) if rubs else None
+        push = tuple(map(sum, zip(*across.values()))) if across else None
         net = net_add(net, pairs, sum(along.values()), push)
         torque = torque_add(torque, beads, pairs, push) if turning else None
         if tally:
             totals = totals.plus(*sum_pairs(pairs, energy, along))
-            totals = totals if across is None else totals.plus(0.0, sum_across(pairs, across))
+            totals = totals.plus(0.0, sum_across(pairs, across)) if across else totals
         return net, torque, totals
 
     start = (
@@ -388,9 +395,9 @@ def symmetric(upper):
     return jnp.stack([jnp.stack([xx, xy, xz]), jnp.stack([xy, yy, yz]), jnp.stack([xz, yz, zz])])
 
 
-def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False):
+def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False, kinds=ORIGINS):
     """Total pair force on each bead (n, 3) at ``state.position`` and ``velocity``, and what turns
-    those that rotate (m, 3).
+    those that rotate (m, 3); of these ``kinds`` (static).
 
     Noise is that of ``state.step``, angular velocities those of ``state.rotation``. Returns (force,
     torque or None, Tally or None).
@@ -402,7 +409,7 @@ def pair_force(fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False
         words = Words.of(key, state.step, channel, beads.id, not interaction.is_central)
         idx = neighbours.list.idx
         f, twist, t = interaction_force(
-            fluid, interaction, state.box, beads, idx, rate, words, dt, tally
+            fluid, interaction, state.box, beads, idx, rate, words, dt, tally, kinds
         )
         force = force + f
         torque = torque if twist is None else torque + twist

@@ -13,8 +13,9 @@ from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine.advice import suggest_dt
 from dpdjax.engine.batching import each_member
-from dpdjax.engine.simulate import Plan, simulate
+from dpdjax.engine.simulate import simulate
 from dpdjax.engine.state import State
+from dpdjax.engine.trajectory import Plan
 from dpdjax.host.run import run
 from dpdjax.prepare.start import initial_state
 

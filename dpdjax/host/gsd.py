@@ -6,12 +6,16 @@ import os
 import numpy as np
 
 from dpdjax.checks import prng_key
+from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.observables import rotations, standard
-from dpdjax.engine.simulate import Plan, Trajectory, check_kinds, check_plan, check_run
+from dpdjax.engine.refusals import check_kinds
 from dpdjax.engine.state import inertias, masses, radii
+from dpdjax.engine.system import System
+from dpdjax.engine.trajectory import Plan, Trajectory
 from dpdjax.host.io import refuse_existing
 from dpdjax.host.progress import Progress
-from dpdjax.host.run import run_on
+from dpdjax.host.run import collected
+from dpdjax.host.stream import Job, Piece, chunk_frames
 from dpdjax.model.colloids import solvent_reach
 
 DRAWN_RADIUS = 0.5
@@ -158,9 +162,11 @@ def run_to_gsd(
     piece: int = 10,
     overwrite: bool = False,
     append: bool = False,
+    integrator: Integrator | None = None,
     progress: bool = True,
 ) -> Trajectory:
-    """:func:`dpdjax.run` with its frames written to a GSD file as they come, ``piece`` at a time.
+    """:func:`dpdjax.run` with its frames written to a GSD file as they come, ``piece`` at a time or
+    fewer.
 
     Returns the trajectory with the standard record, and how beads that rotate are turned; positions
     are in the file alone, so that long runs fit in memory. Ctrl-C ends it early, with all whole
@@ -170,38 +176,30 @@ def run_to_gsd(
     Raises FileExistsError for a file that is there, ValueError for a batch or a file to append to
     that does not fit, and as :func:`dpdjax.run` does; a file of that name is then left as it was.
     """
-    check_kinds(fluid, state)
-    if prng_key(key).ndim or state.position.ndim == 3 or fluid.is_batch or np.ndim(dt):
+    system = System.of(fluid, dt, flow, integrator)
+    check_kinds(system, state)
+    if prng_key(key).ndim or state.position.ndim == 3 or system.is_batch:
         raise ValueError(
             "a GSD file holds one run; run the batch with observe=dpd.gsd_record and write its "
             "members by write_gsd"
         )
-    check_plan(plan)
-    check_run(fluid, state, key, dt, flow)
-    mode = _mode(path, overwrite, append)
-    if mode == "r+":
-        _check_follows(path, fluid, state)
-    piece = max(1, piece)
-    pieces, done, start = [], 0, state
     with contextlib.ExitStack() as stack:
-        line, write = stack.enter_context(Progress(plan, progress)), None
-        while done < plan.frames:
-            part = Plan(min(piece, plan.frames - done), plan.every)
-            ran = run_on(line, fluid, state, key, dt, part, flow, observe=[standard, gsd_record])
-            # Opened when there is something to write: a run that is refused, or ends at once,
-            # leaves an old file as it was.
-            if write is None and (ran.frames or not os.path.exists(path)):
-                write = stack.enter_context(gsd_writer(path, fluid, start, mode))
-            if ran.frames:
-                write(ran.frames, flow)
-            pieces.append({name: v for name, v in ran.frames.items() if name not in RECORDED})
-            state, done = ran.final, done + part.frames
-            if not ran.complete:
-                break
-    frames = {name: np.concatenate([p[name] for p in pieces if p]) for name in pieces[0]}
-    return Trajectory(
-        state, frames, ran.fluid, ran.flow, ran.dt, plan.every, ran.complete, ran.means
-    )
+        line = stack.enter_context(Progress(plan, progress))
+        job = Job.of(system, state, key, plan, [standard, gsd_record], stacklevel=2)
+        mode, write = _mode(path, overwrite, append), None
+        if mode == "r+":
+            _check_follows(path, fluid, state)
+
+        def written(part: Piece) -> dict:
+            nonlocal write
+            # Opened when there is something to write: a run that ends at once leaves an old file as
+            # it was.
+            if write is None:
+                write = stack.enter_context(gsd_writer(path, fluid, state, mode))
+            write(part.frames, system.flow)
+            return {name: v for name, v in part.frames.items() if name not in RECORDED}
+
+        return collected(job, line, min(max(1, piece), chunk_frames(plan, state.n)), written)
 
 
 def _beads(fluid, state) -> dict:

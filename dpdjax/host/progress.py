@@ -7,7 +7,7 @@ import time
 from tqdm import tqdm
 
 from dpdjax.engine import compiling
-from dpdjax.engine.simulate import Plan
+from dpdjax.engine.trajectory import Plan
 
 
 class Progress:

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from dpdjax.engine.batching import differing
+from dpdjax.engine.system import System
 
 
 def refuse_scan(trajectory):
     """Raise ValueError, naming them, where members of a batch differ in numbers of the fluid or the
     flow, or in the time step."""
-    names = differing(trajectory.fluid, trajectory.interval, trajectory.flow)
+    names = System.of(trajectory.fluid, trajectory.interval, trajectory.flow).differing()
     if names:
         raise ValueError(
             f"the members of this batch differ in {', '.join(names)}; "

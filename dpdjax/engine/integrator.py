@@ -1,0 +1,228 @@
+"""How beads move on in time: what every integrator answers, and velocity-Verlet with a predicted
+velocity."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dpdjax.engine import advice, order
+from dpdjax.engine import box as boxes
+from dpdjax.engine import neighbours as lists
+from dpdjax.engine.batching import any_in_batch
+from dpdjax.engine.compensated import plus
+from dpdjax.engine.forces import DRIVEN, EVERYTHING, pair_force
+from dpdjax.engine.rotation import turn_by
+from dpdjax.engine.state import State, Tally, inertias, masses
+
+
+class Forces(NamedTuple):
+    """What acts at one moment: force on each bead (n, 3), torque on those that rotate (m, 3) or
+    None, and sums over pairs."""
+
+    force: Any
+    torque: Any
+    tally: Tally
+
+
+class Integrator:
+    """What every integrator answers.
+
+    One of your own is a frozen dataclass derived from this one, registered with
+    ``jax.tree_util.register_dataclass``, its numbers leaves. It writes :meth:`step`, of which
+    :func:`drifted`, :func:`forces_on` and :func:`settled` are the parts.
+    """
+
+    def step(self, system, state: State, key, tally: bool) -> State:
+        """The state a step of ``system.dt`` later, its force known; ``tally`` (static): with the
+        sums over pairs."""
+        raise NotImplementedError(f"{type(self).__name__} has no step(system, state, key, tally)")
+
+    def start(self, system, state: State, key) -> State:
+        """The state with its force known, computed now if it was not."""
+
+        def compute(state):
+            updated = update_lists(state)
+            forces = forces_on(system, updated, updated.velocity, key, True)
+            known = dataclasses.replace(
+                with_forces(updated, forces), started=jnp.ones_like(state.started)
+            )
+            return jax.tree.map(lambda old, new: jnp.where(state.started, old, new), state, known)
+
+        # In a batch all compute as soon as one must: a branch of its own for each would be no
+        # branch.
+        return jax.lax.cond(any_in_batch(~state.started), compute, lambda state: state, state)
+
+    def dt_limits(self, fluid, density, sizes) -> list[tuple[str, float]]:
+        """What limits the time step, and the largest it allows; see :func:`advice.dt_limits`."""
+        return advice.dt_limits(fluid, density, sizes)
+
+    def batch_axes(self):
+        """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
+        return None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class VelocityVerlet(Integrator):
+    """Velocity-Verlet whose drag is that of a predicted velocity (Groot & Warren 1997, eq. 15).
+
+    | in the method                       | here                                   |
+    |-------------------------------------|----------------------------------------|
+    | r += dt v + dt^2 f / 2m             | :func:`drifted`, v = c + rate y e_x    |
+    | strain += rate dt                   | ``flow.strain_in``, ``moved_on``       |
+    | v~ = v + lambda dt f / m            | ``predicted``                          |
+    | f' = F(r, v~), noise of step + 1    | :func:`forces_on`                      |
+    | v += dt (f + f') / 2m               | :func:`settled`                        |
+    | the same for angles, with I for m   | ``turning``, ``rotated``               |
+
+    Attributes:
+        lam: weight of the old force in the predicted velocity, ``lambda``.
+    """
+
+    lam: Any = 0.5
+
+    def step(self, system, state: State, key, tally: bool) -> State:
+        moved, drift = drifted(system, state, self.lam)
+        forces = forces_on(system, moved, drift.predicted(self.lam), key, tally)
+        return settled(system, state, moved, drift, forces)
+
+    def batch_axes(self):
+        return VelocityVerlet(0) if jnp.ndim(self.lam) == 1 else None
+
+
+class Drift(NamedTuple):
+    """What a step knows once beads have moved and before new forces act, by component (3, n).
+
+    Attributes:
+        carried: peculiar velocities, less what the flow gains where beads have moved to.
+        kick: ``dt f / m`` of the old force.
+        twist: ``dt T / I`` of the old torque (m, 3), or None.
+    """
+
+    carried: Any
+    kick: Any
+    twist: Any
+
+    def predicted(self, lam):
+        """Velocities (n, 3) after the share ``lam`` of a whole old kick."""
+        return (self.carried + lam * self.kick).T
+
+
+def drifted(system, state: State, lam) -> tuple[State, Drift]:
+    """The beads moved by their velocities and old forces, lists and noise those of the next step.
+
+    The streaming velocity at a bead changes as the bead moves in y, so the peculiar velocity loses
+    ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no jump
+    when a bead crosses the boundary. Where the rate changes, the whole box follows at once (SLLOD).
+    Spheres are turned, and have their angular velocity predicted by ``lam``.
+    """
+    # By component, (3, n): XLA vectorises along the beads, and along three numbers it cannot.
+    dt, mass, velocity = system.dt, masses(system.fluid, state)[None], state.velocity.T
+    kick = dt * state.force.T / mass
+    with jax.named_scope("integration"):
+        strain = system.flow.strain_in(state.time, dt)
+        move = dt * velocity + 0.5 * dt * kick
+        carried = velocity - _along_x(strain / dt * move[1])
+        moved = update_lists(moved_on(state, move, strain, dt))
+    if state.rotation is None:
+        return moved, Drift(carried, kick, None)
+    moved, twist = turning(system.fluid, moved, dt, lam)
+    return moved, Drift(carried, kick, twist)
+
+
+def forces_on(
+    system, state: State, velocity, key, tally: bool, kinds: tuple[str, ...] = EVERYTHING
+) -> Forces:
+    """All forces at the state's positions, with drag from ``velocity`` (n, 3) and from the angular
+    velocities of the state.
+
+    Args:
+        system, state, key: what moves, where, and what keys the noise of ``state.step``.
+        velocity: peculiar velocities (n, 3).
+        tally: keep the sums over pairs (static); without them those of the state stay.
+        kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
+            but drag do not depend on the velocity.
+    """
+    fluid, flow = system.fluid, system.flow
+    with jax.named_scope("forces"):
+        force, torque, sums = pair_force(
+            fluid, state, velocity, flow.rate_at(state.time), key, system.dt, tally, kinds
+        )
+        if DRIVEN in kinds:
+            body, twist = flow.force(state, masses(fluid, state)[:, None]), flow.torque(state)
+            force = force if body is None else force + body
+            torque = torque if twist is None else torque + twist
+    return Forces(force, torque, sums if tally else state.tally)
+
+
+def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -> State:
+    """The end of a step: velocities by the mean of the old and the new kick, and the new forces."""
+    dt, fluid = system.dt, system.fluid
+    mass = masses(fluid, before)[None]
+    velocity = drift.carried + 0.5 * (drift.kick + dt * forces.force.T / mass)
+    moved = dataclasses.replace(moved, velocity=velocity.T)
+    if drift.twist is not None:
+        spin = rotated(fluid, before, moved, drift.twist, forces.torque, dt)
+        moved = dataclasses.replace(moved, rotation=spin)
+    return with_forces(moved, forces)
+
+
+def with_forces(state: State, forces: Forces) -> State:
+    """The state with these forces as its last."""
+    rotation = state.rotation
+    if rotation is not None:
+        rotation = dataclasses.replace(rotation, torque=forces.torque)
+    return dataclasses.replace(state, force=forces.force, tally=forces.tally, rotation=rotation)
+
+
+def update_lists(state: State) -> State:
+    ids = order.list_ids(state)
+    with jax.named_scope("neighbours"):
+        neighbours = tuple(
+            lists.update(n, state.box, state.position, ids) for n in state.neighbours
+        )
+    return dataclasses.replace(state, neighbours=neighbours)
+
+
+def turning(fluid, state: State, dt, lam):
+    """The state with its spheres turned and their predicted angular velocity, and the kick
+    ``dt T / I`` of the old torque."""
+    old = state.rotation
+    twist = dt * old.torque / inertias(fluid, state)[:, None]
+    turn = turn_by(old.orientation, dt * (old.velocity + 0.5 * twist))
+    orientation, rest = plus(old.orientation, old.orientation_rest, turn)
+    new = dataclasses.replace(
+        old, orientation=orientation, orientation_rest=rest, velocity=old.velocity + lam * twist
+    )
+    return dataclasses.replace(state, rotation=new), twist
+
+
+def rotated(fluid, before: State, moved: State, twist, torque, dt):
+    """The rotation at the end of a step, from that before it."""
+    velocity = before.rotation.velocity + 0.5 * (
+        twist + dt * torque / inertias(fluid, moved)[:, None]
+    )
+    return dataclasses.replace(moved.rotation, velocity=velocity)
+
+
+def moved_on(state: State, move, strain, dt) -> State:
+    """The state a step later: beads moved by ``move`` (3, n), and they and the box by a shear
+    strain."""
+    move = move + _along_x(strain * state.position[:, 1])
+    position, position_rest = plus(state.position.T, state.position_rest.T, move)
+    total, strain_rest = plus(state.box.strain, state.strain_rest, strain)
+    time, time_rest = plus(state.time, state.time_rest, dt)
+    box, periods = boxes.Box(state.box.lengths, total).folded()
+    position, crossed = boxes.wrapped_columns(box, position)
+    # A period less of strain leaves an upper image a side further back along x.
+    image = state.image + (crossed + _along_x(periods.astype(jnp.int32) * state.image[:, 1])).T
+    rests = {"position_rest": position_rest.T, "strain_rest": strain_rest, "time_rest": time_rest}
+    new = {"position": position.T, "image": image, "box": box, "step": state.step + 1, "time": time}
+    return dataclasses.replace(state, **new, **rests)
+
+
+def _along_x(values):
+    """A vector along x for each bead, (3, n)."""
+    return jnp.stack([values, jnp.zeros_like(values), jnp.zeros_like(values)])

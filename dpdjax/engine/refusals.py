@@ -1,0 +1,194 @@
+"""What a run refuses before the work starts, each with the value and the cure."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete, positive, prng_key
+from dpdjax.engine import advice, soundness
+from dpdjax.engine import flow as flows
+from dpdjax.engine import status as bits
+from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.state import State, radii
+from dpdjax.engine.system import System
+from dpdjax.engine.trajectory import Plan
+from dpdjax.model.fluid import Fluid
+
+
+def check_run(system: System, state, key):
+    """Errors that can be told before the work starts, each with the value and the cure."""
+    fluid, flow = system.fluid, system.flow
+    check_kinds(system, state)
+    prng_key(key)
+    positive(system.dt, "dt")
+    shape = jnp.shape(state.position)
+    if len(shape) != 2 or shape[1] != 3 or jnp.shape(state.velocity) != shape:
+        raise ValueError(
+            f"positions {shape} and velocities {jnp.shape(state.velocity)} must both be (beads, "
+            "3); for a batch use jax.vmap, or dpd.run with a vector of keys"
+        )
+    lists, wanted = len(state.neighbours), len(fluid.interactions)
+    if lists != wanted:
+        raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
+    highest = int(np.max(np.asarray(state.species), initial=0)) if is_concrete(state.species) else 0
+    if highest >= fluid.species:
+        raise ValueError(
+            f"the state has species {highest}, the fluid knows 0 to {fluid.species - 1}"
+        )
+    if set(state.tally.virial) != set(fluid.origins):
+        raise ValueError(
+            f"the state keeps stresses as {', '.join(state.tally.virial)}, the fluid as "
+            f"{', '.join(fluid.origins)}: make the state with this fluid"
+        )
+    check_rotation(fluid, state)
+    check_finite(state)
+    soundness.check_laws(fluid, state)
+    check_dt(system, state)
+    if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
+        flows.check_tilt(state)
+    # What is known is judged now, inside a program that is being traced too.
+    with jax.ensure_compile_time_eval():
+        flow.check(fluid, state)
+
+
+def check_kinds(system: System, state):
+    """Raise TypeError, with what to give, for a system or a state of anything else."""
+    fluid, flow, integrator = system.fluid, system.flow, system.integrator
+    if isinstance(fluid, State) and isinstance(state, Fluid):
+        raise TypeError(
+            "fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) "
+            "comes first"
+        )
+    if not isinstance(fluid, Fluid):
+        cure = "give its .fluid" if hasattr(fluid, "fluid") else "build one with dpd.fluid(...)"
+        raise TypeError(f"fluid is a {type(fluid).__name__}; {cure}")
+    if not isinstance(state, State):
+        part = next((name for name in ("final", "state") if hasattr(state, name)), None)
+        cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
+        raise TypeError(f"state is a {type(state).__name__}; {cure}")
+    if not isinstance(flow, flows.Flow):
+        flows_there_are = (
+            "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
+        )
+        raise TypeError(
+            f"flow is {flow!r}; give {flows_there_are}, a class derived from dpd.Flow, or None"
+        )
+    if not isinstance(integrator, Integrator):
+        raise TypeError(
+            f"integrator is {integrator!r}; give dpd.VelocityVerlet(), an object of a class "
+            "derived from dpd.Integrator, or None"
+        )
+    for part in (flow, integrator):
+        if any(leaf is part for leaf in jax.tree.leaves(part)):
+            raise TypeError(
+                f"{type(part).__name__} is not registered: put "
+                "@jax.tree_util.register_dataclass and @dataclasses.dataclass(frozen=True) on it, "
+                "so that its numbers are known"
+            )
+
+
+def check_finite(state):
+    """Refuse positions or velocities that are not finite, of one state or a batch, and name the
+    first such bead."""
+    for name in ("position", "velocity"):
+        values = getattr(state, name)
+        if not is_concrete(values) or np.all(np.isfinite(np.asarray(values))):
+            continue
+        where = np.argwhere(~np.all(np.isfinite(np.asarray(values)), axis=-1))[0]
+        member = f" of member {where[0]}" if len(where) == 2 else ""
+        value = np.asarray(values)[tuple(where)].tolist()
+        raise ValueError(
+            f"the {name} of bead {where[-1]}{member} is {value} at the start; give a state of "
+            "finite numbers"
+        )
+
+
+def check_rotation(fluid, state):
+    """Refuse a state whose beads rotate otherwise than those of the fluid."""
+    has = state.rotation is not None
+    if has != bool(fluid.rotating):
+        turns = lambda yes: "rotate" if yes else "do not"
+        what = f"beads of the fluid {turns(fluid.rotating)} and those of the state {turns(has)}"
+        raise ValueError(f"{what}: make the state with this fluid")
+    if has and is_concrete(state.species):
+        turning = np.isin(np.asarray(state.species), fluid.rotating)
+        if not np.all(turning[state.rotation.slots]) or turning.sum() != state.rotation.m:
+            raise ValueError(
+                "the beads of the state that rotate are of other species: make the state with this "
+                "fluid"
+            )
+
+
+LAST_STEP = 2**31 - 1
+"""Steps are counted in 32 bits."""
+
+
+def check_plan(plan, state=None):
+    """Raise TypeError for anything but a :class:`Plan`, ValueError for one that outruns the count
+    of the steps of a state."""
+    if not isinstance(plan, Plan):
+        raise TypeError(f"plan is {plan!r}; give dpd.Plan(frames=..., every=...)")
+    if state is None or not is_concrete(state.step):
+        return
+    end = int(np.max(np.asarray(state.step))) + plan.steps
+    if end > LAST_STEP:
+        raise ValueError(
+            f"the run would end at step {end}, and steps, by which the noise is keyed, are counted "
+            f"up to {LAST_STEP}: start the count anew, dataclasses.replace(state, "
+            "step=jnp.zeros_like(state.step)), and give another key"
+        )
+
+
+def check_dt(system: System, state):
+    """Refuse a time step at which drag, repulsion, lubrication or contacts would overshoot, and
+    name the member it is of."""
+    if not is_concrete(system, state.box.lengths, state.species, state.size):
+        return
+    counts = np.bincount(np.asarray(state.species), minlength=system.fluid.species)
+    density = counts / float(np.prod(np.asarray(state.box.lengths)))
+    sizes = float(np.min(np.asarray(state.size))), float(np.max(np.asarray(state.size)))
+    told = _too_large(system, density, sizes)
+    if told is None:
+        return
+    for member in range(max(system.lengths(), default=0)):
+        of_member = _too_large(system.member(member), density, sizes)
+        if of_member is not None:
+            raise ValueError(f"{system.named(member)}: {of_member}")
+    raise ValueError(told)
+
+
+def _too_large(system: System, density, sizes):
+    """What a time step is too large for, and the cure; None where it is not."""
+    largest = float(np.max(np.asarray(system.dt)))
+    for what, limit in system.integrator.dt_limits(system.fluid, density, sizes):
+        if largest > limit:
+            suits = advice.suggest_dt(system.fluid, density, sizes)
+            return (
+                f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
+                f"use dt = {suits:.2g} (temperature error 0.5 %)"
+            )
+    return None
+
+
+def list_trouble(fluid, state):
+    """Bits for lists that overflowed, that are too short for the laws, or too wide for the box."""
+    trouble = jnp.zeros((), jnp.uint32)
+    radius = radii(fluid, state)
+    for interaction, neighbours in zip(fluid.interactions, state.neighbours):
+        code = neighbours.list.error.code
+        grid = neighbours.grid
+        trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag(
+            (code & 2) > 0, bits.WINDOW_OVERFLOW
+        )
+        largest = [jnp.max(radius[begin:end]) for begin, end in grid.groups]
+        reach = jnp.stack([jnp.max(r) for r in interaction.reaches(*largest, fluid.kT)])
+        trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
+        sides = state.box.lengths
+        trouble |= bits.flag(jnp.any(sides < 2 * grid.cut * (1 - 1e-5)), bits.BOX_TOO_SMALL)
+        if grid.cells is not None:
+            across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray(
+                (grid.span, 1, 1), sides.dtype
+            )
+            least = across * grid.cut * (1 - 1e-5)
+            trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
+    return trouble

@@ -1,0 +1,191 @@
+"""A run as a stream of pieces: each a compiled program's worth of frames, checked and repaired."""
+
+import dataclasses
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import prng_key
+from dpdjax.engine import status as bits
+from dpdjax.engine.advice import cautions
+from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
+from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.record import averaged, recorders
+from dpdjax.engine.refusals import check_finite, check_kinds, check_plan, check_run, list_trouble
+from dpdjax.engine.state import State
+from dpdjax.engine.system import System
+from dpdjax.engine.trajectory import Plan, Trajectory
+from dpdjax.model.fluid import Fluid
+
+CHUNK, LEAST = 1_000_000, 50
+"""Particle-steps between two looks at the status: half a second; and steps, over which a large box
+is sorted once."""
+
+
+class RunError(RuntimeError):
+    """A run that could not go on; ``trajectory`` holds all that was computed before."""
+
+    def __init__(self, message, trajectory=None):
+        super().__init__(message)
+        self.trajectory = trajectory
+
+
+class Piece(NamedTuple):
+    """Frames that follow one another, and where they end.
+
+    Attributes:
+        state: after the last of them, one or a batch.
+        frames: recorded values by name, on the host; a batch has its axis in front of the frames.
+        failed: of a batch, the members that failed so far and why.
+    """
+
+    state: State
+    frames: dict[str, Any]
+    failed: dict[int, str]
+
+
+def stream(
+    fluid: Fluid,
+    state: State,
+    key,
+    dt,
+    plan: Plan,
+    flow=None,
+    *,
+    observe=None,
+    integrator: Integrator | None = None,
+    piece: int | None = None,
+) -> Iterator[Piece]:
+    """:func:`dpdjax.run` piece by piece, for what is to be written, drawn or stopped on the way.
+
+    Lists that overflow are grown and a piece is replayed, as in :func:`dpdjax.run`; nothing is kept
+    and nothing is printed.
+
+    Args:
+        fluid, state, key, dt, plan, flow, observe, integrator: as for :func:`dpdjax.run`.
+        piece: frames in each piece; by default about half a second's worth.
+
+    Returns an iterator of :class:`Piece`. Raises as :func:`dpdjax.run` does: what cannot work at
+    the call, RunError without a trajectory on the way.
+    """
+    job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe, stacklevel=3)
+    return job.pieces(piece)
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A run that was checked and can begin: what moves from where, and what is recorded."""
+
+    system: System
+    state: State
+    key: Any
+    plan: Plan
+    how: tuple
+
+    @classmethod
+    def of(cls, system: System, state, key, plan: Plan, observe, stacklevel: int) -> "Job":
+        """Raise for what cannot work, warn of what is seldom meant."""
+        key = prng_key(key)
+        if key.ndim > 1:
+            raise ValueError(
+                f"keys have shape {key.shape}; give a vector of them, keys.reshape(-1), and "
+                "numbers alike, one for each"
+            )
+        check_kinds(system, state)
+        state = batched(state, key)
+        one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
+        check_plan(plan, state)
+        check_run(system, one, key)
+        if key.ndim:
+            check_finite(state)
+        for caution in cautions(system.fluid, state, system.dt, plan):
+            warnings.warn(caution, stacklevel=stacklevel + 1)
+        _check_members(system, key)
+        state = complete_lists(state)
+        _refuse(system.fluid, state, key)
+        return cls(system, state, key, plan, tuple(recorders(observe)))
+
+    def pieces(self, size: int | None = None, compiling: Callable = lambda: None):
+        """An iterator of :class:`Piece`, of ``size`` frames each but for the last."""
+        system, state, key, plan = self.system, self.state, self.key, self.plan
+        beads = int(np.prod(state.position.shape[:-1]))
+        size = chunk_frames(plan, beads) if size is None else max(1, min(size, plan.frames))
+        # The last piece, which is shorter, by the same program.
+        shape = shape_of(Plan(size, plan.every), beads)
+        done, failed = 0, {}
+        while done < plan.frames:
+            part = Plan(min(size, plan.frames - done), plan.every)
+            after, frames = replayed(system, state, key, part, self.how, shape, compiling)
+            lost = after.status
+            if key.ndim:
+                after, frames = without_failed(state, after, frames)
+            last = int(np.max(state.step))
+            when = f"stopped between steps {last} and {last + part.steps}"
+            failed = _failed(failed, lost, system, when)
+            if len(failed) == np.size(lost):
+                raise Lost(failed)
+            state, done = after, done + part.frames
+            yield Piece(state, frames, failed)
+
+    def trajectory(self, state, pieces: list[dict], failed: dict) -> Trajectory:
+        """What the ``frames`` of pieces, that end in a state, come to."""
+        axis = 1 if state.position.ndim == 3 else 0
+        join = lambda *parts: np.concatenate(parts, axis)
+        frames = jax.tree.map(join, *pieces) if pieces else {}
+        done = np.shape(frames["step"])[axis] if pieces else 0
+        dt = jnp.asarray(self.system.dt, state.position.dtype)
+        return Trajectory(
+            state,
+            frames,
+            dataclasses.replace(self.system, dt=dt),
+            self.plan.every,
+            done == self.plan.frames,
+            averaged(self.how, self.system.fluid, state),
+            tuple(failed.items()),
+        )
+
+
+class Lost(RunError):
+    """All members failed; ``failed`` says why."""
+
+    def __init__(self, failed: dict[int, str]):
+        super().__init__("; ".join(dict.fromkeys(failed.values())))
+        self.failed = failed
+
+
+def chunk_frames(plan: Plan, beads: int) -> int:
+    """Frames in a chunk: about ``CHUNK`` particle-steps or ``LEAST`` steps."""
+    return max(1, min(plan.frames, round(max(CHUNK / beads, LEAST) / plan.every)))
+
+
+def _failed(before: dict, status, system: System, when: str) -> dict[int, str]:
+    """The members that failed so far, each with its own numbers, when and why."""
+    status = np.atleast_1d(np.asarray(status))
+    fresh = [int(k) for k in np.flatnonzero(status) if k not in before]
+    whose = lambda k: f"{system.named(k)} of {len(status)} " if len(status) > 1 else ""
+    return before | {k: f"{whose(k)}{when}: {bits.describe(status[k], grown=True)}" for k in fresh}
+
+
+def _check_members(system: System, key):
+    """Raise unless there is a key for each member of a scan over numbers."""
+    for members in system.lengths():
+        if key.shape != (members,):
+            raise ValueError(
+                f"numbers for {members} members and keys of shape {key.shape}: "
+                f"give {members} keys, jax.random.split(key, {members})"
+            )
+
+
+_list_trouble = jax.jit(list_trouble)
+
+
+def _refuse(fluid, state, key):
+    """Raise for a list that cannot serve the fluid, before anything runs."""
+    check = jax.vmap(list_trouble, (fluid.batch_axes(), 0)) if key.ndim else _list_trouble
+    trouble = bits.describe(check(fluid, state))
+    if trouble:
+        raise ValueError(trouble)
