@@ -41,14 +41,13 @@ _HOMES = {
     "dpdjax.model.marbles": ["marble_fluid"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
     "dpdjax.engine.box": ["Box", "displacement"],
-    "dpdjax.engine.flow": [
-        "Flow",
-        "shear",
-        "oscillatory_shear",
+    "dpdjax.engine.deformation": ["Deformation", "oscillatory_shear", "shear"],
+    "dpdjax.engine.drivers": [
+        "Driver",
         "body_force",
-        "sinusoidal_force",
         "constant_field",
         "drive",
+        "sinusoidal_force",
     ],
     "dpdjax.engine.advice": ["suggest_dt", "suggest_skin"],
     "dpdjax.engine.state": ["State", "grow"],

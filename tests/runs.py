@@ -14,7 +14,8 @@ from scipy.signal import lfilter
 
 import dpdjax as dpd
 from dpdjax.engine.box import Box, wrap
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.drivers import Drive
+from dpdjax.engine.flow import Flow
 from dpdjax.engine.system import System
 
 VISCOSITY, STORAGE, LOSS = 0.85, 0.4, 2.55
@@ -34,11 +35,11 @@ MEMORY, MOTION = 0.1, 0.2
 """
 
 FLOWS = {
-    "at rest": lambda number: quiet(),
-    "sheared": lambda number: dpd.shear(RATE * number),
-    "oscillated": lambda number: dpd.oscillatory_shear(AMPLITUDE * number, FREQUENCY),
-    "pushed": lambda number: dpd.sinusoidal_force(WAVE_AMPLITUDE * number, SIDES[1]),
-    "driven": lambda number: dpd.drive(FORCE * number, TORQUE * number, species=1),
+    "at rest": lambda number: Flow(),
+    "sheared": lambda number: Flow.of(dpd.shear(RATE * number)),
+    "oscillated": lambda number: Flow.of(dpd.oscillatory_shear(AMPLITUDE * number, FREQUENCY)),
+    "pushed": lambda number: Flow.of(dpd.sinusoidal_force(WAVE_AMPLITUDE * number, SIDES[1])),
+    "driven": lambda number: Flow.of(dpd.drive(FORCE * number, TORQUE * number, species=1)),
 }
 """Each kind of flow, of a strength relative to that of a single run."""
 FORMS = ("one run", "started up", "batch", "scan", "short")
@@ -95,7 +96,8 @@ def joined(members, fluid, flow):
         jax.tree.map(stack, *[getattr(m, name) for m in members]) for name in ("final", "frames")
     )
     frames = {name: np.asarray(values) for name, values in frames.items()}
-    return dataclasses.replace(members[0], final=final, frames=frames, fluid=fluid, flow=flow)
+    how = System.of(fluid, DT, flow)
+    return dataclasses.replace(members[0], final=final, frames=frames, system=how)
 
 
 def one(fluid, state, flow, *, seed: int, count: int, starts: bool = False):
@@ -116,7 +118,7 @@ def stresses(rng, flow, time, late):
     """What viscosities and moduli are read from."""
     count = len(time)
     stress = tensors(0.3 * rng.normal(size=(count, 3, 3)))
-    if hasattr(flow, "frequency"):
+    if flow.deformation.frequency is not None:
         due = (
             AMPLITUDE
             * (STORAGE * np.sin(FREQUENCY * time) + LOSS * np.cos(FREQUENCY * time))
@@ -159,7 +161,7 @@ def places(rng, state, flow, time):
     count, n = len(time), POINTS + SPHERES
     fine = 4
     steps = np.sqrt(2 * DIFFUSION * INTERVAL / fine) * rng.normal(size=(count * fine, n, 3))
-    if hasattr(flow, "push"):
+    if flow.driver(Drive) is not None:
         share = SPHERES / n
         driven = np.asarray(state.species) == 1
         steps[..., 0] += DIFFUSION * FORCE * INTERVAL / fine * (driven - share) / (1 - share)
@@ -198,7 +200,7 @@ def tilt(flow, time):
     """The strain at a time."""
     return (
         AMPLITUDE * np.sin(FREQUENCY * time)
-        if hasattr(flow, "frequency")
+        if flow.deformation.frequency is not None
         else float(flow.rate) * time
     )
 
@@ -206,7 +208,7 @@ def tilt(flow, time):
 def turns(rng, flow, count):
     """Random turns of the spheres."""
     omega = remembering(rng, ROTATION, (count, SPHERES, 3))
-    if hasattr(flow, "twist"):
+    if flow.driver(Drive) is not None:
         omega[..., 0] += ROTATION * TORQUE
     half = 0.5 * INTERVAL * omega
     angle = np.linalg.norm(half, axis=-1, keepdims=True)

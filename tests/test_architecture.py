@@ -15,9 +15,9 @@ ROOT = pathlib.Path(dpdjax.__file__).parent
 ROOMS = ["model", "engine", "prepare", "measure", "calibration"]
 HOST = {"host", "cli"}
 ENGINE = (
-    "compensated compiling status batching noise box rotation advice flow cells neighbours state "
-    "order forces observables integrator system soundness motion record trajectory refusals "
-    "simulate chunk"
+    "compensated compiling status batching noise box rotation advice answers deformation drivers "
+    "flow cells neighbours state order forces observables integrator system soundness motion "
+    "record trajectory refusals simulate chunk"
 ).split()
 """The files of the engine, each built on those before it."""
 

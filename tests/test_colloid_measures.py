@@ -9,7 +9,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import box as boxes
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.flow import Flow
 from dpdjax.measure import distribution
 from dpdjax.measure.bonds import bonded_pairs, bonds
 from dpdjax.measure.clusters import clusters
@@ -442,7 +442,7 @@ def recorded(position, fluid=None, strain=None, flow=None, size=None):
     }
     return SimpleNamespace(
         frames=records if strain is None else records | {"strain": strain},
-        flow=quiet() if flow is None else flow,
+        flow=Flow.of(flow),
         final=SimpleNamespace(
             box=SimpleNamespace(lengths=SIDES, strain=np.zeros(())),
             species=np.ones(n, int),
@@ -555,7 +555,7 @@ def spoiled(**changes):
             spoiled(frames={"temperature": np.ones(3)}),
             "no 'position' but temperature; use observe=dpd.positions",
         ),
-        (spoiled(flow=dpd.shear(0.1)), "sheared, and the tilt of the box.*record it too"),
+        (spoiled(flow=Flow.of(dpd.shear(0.1))), "sheared, and the tilt of the box.*record it too"),
         (spoiled(final__species=np.zeros(50, int)), "no bead is of species 1"),
         (spoiled(fluid__radius=(None, None)), "this fluid has no spheres.*give one"),
         (spoiled(fluid__radius=(0.5, 0.5)), "species 0, 1 are spheres; name one"),

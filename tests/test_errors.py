@@ -9,6 +9,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.advice import pair_frequency
+from dpdjax.engine.flow import Flow
 from dpdjax.engine.system import System
 
 
@@ -187,14 +188,25 @@ def test_body_forces_are_judged_inside_the_box(water, fresh):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Own(dpd.Flow):
-    """A flow as a user writes one."""
+class Own(dpd.Deformation):
+    """A deformation as a user writes one."""
 
     rate: object
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Push(dpd.Driver):
+    """A driver as a user writes one."""
+
     push: object = None
 
     def force(self, state, mass):
         return self.push
+
+
+class Bare(dpd.Driver):
+    """One that was not registered."""
 
 
 def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
@@ -202,24 +214,28 @@ def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
     for flow in (Own(0.3), dpd.shear(0.3), dpd.oscillatory_shear(0.1, 1.0)):
         with refused(ValueError, "sheared=False"):
             dpd.simulate(water, still, key, 0.01, PLAN, flow)
-        assert flow.deforms and flow.is_steady == (not hasattr(flow, "frequency"))
-    assert not any(flow.deforms for flow in (dpd.drive(1.0), dpd.sinusoidal_force(1.0, 5.0)))
+        assert flow.deforms and flow.is_steady == (flow.frequency is None)
+    for flow in (dpd.drive(1.0), dpd.sinusoidal_force(1.0, 5.0), None):
+        assert not Flow.of(flow).deforms
     tilted = dataclasses.replace(still, box=dataclasses.replace(still.box, strain=jnp.asarray(0.3)))
     with refused(ValueError, "sheared=False"):
         dpd.simulate(water, tilted, key, 0.01, PLAN)
     x = fresh.position
     wrong = [
         (Own(jnp.ones(3)), ValueError, "the rate of Own has shape (3,)", "batch_axes()"),
-        (Own(0.0, x[:, 0]), ValueError, "the force of Own has shape", "is wanted"),
-        (Own(0.0, x.at[3].set(jnp.nan)), ValueError, "the force of Own is not finite"),
-        (Own(0.0, 1j * x), TypeError, "Own"),
-        (object.__new__(dpd.Flow), TypeError, "Flow has no rate"),
+        (Push(x[:, 0]), ValueError, "the force of Push has shape", "is wanted"),
+        (Push(x.at[3].set(jnp.nan)), ValueError, "the force of Push is not finite"),
+        (object.__new__(dpd.Deformation), TypeError, "Deformation has no rate"),
     ]
-    for flow, kind, *parts in wrong[:3] + wrong[4:]:
+    for flow, kind, *parts in wrong:
         with refused(kind, *parts):
             flow.check(water, fresh)
-    with refused(TypeError, "derived from dpd.Flow"):
+    with refused(TypeError, "derived from dpd.Deformation or dpd.Driver"):
         dpd.simulate(water, fresh, key, 0.01, PLAN, object())
+    with refused(TypeError, "Bare is not registered", "register_dataclass"):
+        dpd.simulate(water, fresh, key, 0.01, PLAN, Bare())
+    with refused(ValueError, "Shear and Oscillation both deform the box", "give one"):
+        dpd.simulate(water, fresh, key, 0.01, PLAN, [dpd.shear(0.1), dpd.oscillatory_shear(1, 1)])
 
 
 def test_states_and_fluids_that_are_something_else(water, fresh, key):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.flow import Flow
 from dpdjax.engine.state import masses
 from dpdjax.measure.rotation import angle_turned
 from dpdjax.measure.statistics import Estimate
@@ -128,7 +128,7 @@ def made_up(flow=None, inertia=0.1, **frames):
     )
     interval = np.asarray(H)
     return SimpleNamespace(
-        frames=frames, flow=flow or quiet(), final=final, fluid=fluid, interval=interval
+        frames=frames, flow=Flow.of(flow), final=final, fluid=fluid, interval=interval
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.box import Box
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.flow import Flow
 from dpdjax.measure import structure
 from dpdjax.measure.structure import expected_pairs, radial_distribution
 
@@ -113,16 +113,16 @@ def test_wrong_trajectories(water):
     with pytest.raises(
         ValueError, match="sheared, and the tilt of the box in each frame is unknown; record it too"
     ):
-        radial_distribution(SimpleNamespace(frames=frames, flow=dpd.shear(0.1), **run))
+        radial_distribution(SimpleNamespace(frames=frames, flow=Flow.of(dpd.shear(0.1)), **run))
     frames = frames | {"strain": np.zeros(5)}
     with pytest.raises(
         ValueError,
         match="recorded means of 'position', not its value at a time; use observe=dpd.pos",
     ):
         radial_distribution(
-            SimpleNamespace(frames=frames, flow=dpd.shear(0.1), means=("position",), **run)
+            SimpleNamespace(frames=frames, flow=Flow.of(dpd.shear(0.1)), means=("position",), **run)
         )
-    standard = SimpleNamespace(frames={"temperature": np.ones(5)}, flow=quiet(), final=final)
+    standard = SimpleNamespace(frames={"temperature": np.ones(5)}, flow=Flow(), final=final)
     with pytest.raises(
         ValueError, match="no 'position' but temperature; use observe=dpd.positions"
     ):

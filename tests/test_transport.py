@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.flow import Flow
 from dpdjax.measure import transport
 from dpdjax.measure.transport import diffusion, mean_squared_displacement, velocity_autocorrelation
 
@@ -27,7 +27,7 @@ def trajectory(unwrapped, velocity, interval, species=None, mass=(1.0,), flow=No
     return SimpleNamespace(
         frames={"unwrapped": unwrapped, "velocity": velocity},
         interval=interval,
-        flow=quiet() if flow is None else flow,
+        flow=Flow.of(flow),
         final=SimpleNamespace(
             species=species,
             size=np.ones(len(species)),

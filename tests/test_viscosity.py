@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.flow import quiet
+from dpdjax.engine.flow import Flow
 from dpdjax.measure.viscosity import controlled
 
 KT, SIDES, DT, H = 1.3, (5.0, 5.0, 4.0), 0.01, 0.02
@@ -26,7 +26,7 @@ def trajectory(frames, flow=None, dt=DT, kT=KT):
         frames=frames | {"time": time},
         is_batch=True,
         fluid=dpd.fluid(drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=kT),
-        flow=quiet() if flow is None else flow,
+        flow=Flow.of(flow),
         dt=np.asarray(dt),
         every=round(H / DT),
         interval=np.asarray(dt) * round(H / DT),

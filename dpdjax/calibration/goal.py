@@ -4,13 +4,13 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine import flow as flows
 from dpdjax.engine.advice import damping_rate, kinetic_theory_viscosity, thermal_time
+from dpdjax.engine.deformation import shear
+from dpdjax.engine.flow import Flow
 from dpdjax.engine.observables import pressure_tensor, static_pressure, temperature
 
 
@@ -31,13 +31,13 @@ class Goal:
     name: str
     target: float
     observe: Callable
-    flow: Any
+    flow: Flow
     scale: float = 1.0
 
 
 def viscosity_goal(target: float, rate: float) -> Goal:
     """Viscosity ``-<P_xy>/rate`` in homogeneous shear."""
-    return Goal("viscosity", float(target), _shear_stress, flows.shear(rate), -1.0 / rate)
+    return Goal("viscosity", float(target), _shear_stress, Flow.of(shear(rate)), -1.0 / rate)
 
 
 def _shear_stress(fluid, state):
@@ -57,7 +57,7 @@ def viscosity_goal_at(fluid, density: float, target: float, tolerance: float) ->
 
 def pressure_goal(target: float) -> Goal:
     """Pressure ``trace/3`` of the kinetic part and all potentials in equilibrium."""
-    return Goal("pressure", float(target), _pressure, flows.quiet())
+    return Goal("pressure", float(target), _pressure, Flow())
 
 
 def _pressure(fluid, state):
@@ -66,7 +66,7 @@ def _pressure(fluid, state):
 
 def custom_goal(target: float, observe: Callable, flow=None, name: str = "value") -> Goal:
     """Any number ``observe(fluid, state)`` whose mean in a stationary run is wanted."""
-    return Goal(name, float(target), _named(observe), flows.quiet() if flow is None else flow)
+    return Goal(name, float(target), _named(observe), Flow.of(flow))
 
 
 @functools.cache

@@ -1,415 +1,107 @@
-"""Flows: what drives the fluid from outside. Their numbers are leaves."""
+"""What drives a fluid from outside: at most one deformation of the box, any number of drivers."""
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
-from dpdjax.checks import is_concrete, number, positive
-from dpdjax.engine.batching import chosen
+from dpdjax.engine.answers import not_registered
+from dpdjax.engine.deformation import Deformation, Still
+from dpdjax.engine.drivers import Driver
+
+KNOWN = "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
 class Flow:
-    """What every flow answers; by default there is none.
-
-    A flow of your own is a frozen dataclass derived from this one, registered with
-    ``jax.tree_util.register_dataclass``, its numbers leaves.
+    """All that drives a run, one or a batch.
 
     Attributes:
-        rate: the shear rate; the largest where it changes [1/time]. A flow that never deforms the
-            box has the plain number 0.0, as a static field or an attribute of its class.
+        deformation: of the box.
+        drivers: forces and torques on beads, which add up.
     """
 
-    rate: Any
+    deformation: Deformation = Still()
+    drivers: tuple[Driver, ...] = ()
+
+    @classmethod
+    def of(cls, flow) -> "Flow":
+        """That of None, a deformation, a driver, a list of them, or a flow.
+
+        Raises TypeError for anything else, ValueError for two deformations.
+        """
+        if isinstance(flow, Flow):
+            return flow
+        parts = () if flow is None else flow if isinstance(flow, (list, tuple)) else (flow,)
+        for part in parts:
+            _check_kind(part)
+        deformations = [part for part in parts if isinstance(part, Deformation)]
+        if len(deformations) > 1:
+            kinds = " and ".join(type(part).__name__ for part in deformations)
+            raise ValueError(f"{kinds} both deform the box, and it can follow one: give one")
+        drivers = tuple(part for part in parts if isinstance(part, Driver))
+        return cls(*deformations, drivers=drivers)
+
+    @property
+    def rate(self):
+        """The shear rate; the largest where it changes [1/time]."""
+        return self.deformation.rate
+
+    @property
+    def deforms(self) -> bool:
+        """Whether it can tilt the box."""
+        return self.deformation.deforms
 
     @property
     def is_steady(self) -> bool:
         """Whether the shear rate never changes."""
-        kind = type(self)
-        return kind.rate_at is Flow.rate_at and kind.strain_in is Flow.strain_in
+        return self.deformation.is_steady
 
-    @property
-    def deforms(self) -> bool:
-        """Whether it can tilt the box, by its kind and whatever its numbers: False only for a plain
-        rate of 0."""
-        return not (self.is_steady and isinstance(self.rate, (int, float)) and self.rate == 0)
+    def driver(self, kind: type):
+        """The driver of a kind, or None; ValueError for several."""
+        found = [driver for driver in self.drivers if isinstance(driver, kind)]
+        if len(found) > 1:
+            raise ValueError(f"{len(found)} drivers of this run are a {kind.__name__}; which one?")
+        return found[0] if found else None
 
     def check(self, fluid, state):
-        """Raise TypeError or ValueError, before a run of one state, for a flow that cannot work
-        there.
-
-        A flow with demands of its own adds them, and calls this one by ``super()``.
-        """
-        check_answers(self, fluid, state)
-        if self.deforms:
-            check_tilt(state)
+        """Raise TypeError or ValueError, before a run of one state, for what cannot work there."""
+        for part in (self.deformation, *self.drivers):
+            part.check(fluid, state)
 
     def rate_at(self, time):
         """Shear rate at a time [1/time]."""
-        return self.rate
+        return self.deformation.rate_at(time)
 
     def strain_in(self, time, dt):
         """Shear strain of the step that begins at ``time``."""
-        return self.rate * dt
+        return self.deformation.strain_in(time, dt)
 
     def force(self, state, mass):
-        """Force on each bead (n, 3), or None."""
-        return None
+        """Force of all drivers on each bead (n, 3), or None; ``mass`` is (n, 1)."""
+        return _sum(driver.force(state, mass) for driver in self.drivers)
 
     def torque(self, state):
-        """Torque on each bead that rotates (m, 3), or None."""
-        return None
+        """Torque of all drivers on each bead that rotates (m, 3), or None."""
+        return _sum(driver.torque(state) for driver in self.drivers)
 
     def batch_axes(self):
         """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
-        return None
+        parts = self.deformation.batch_axes(), tuple(d.batch_axes() for d in self.drivers)
+        return Flow(*parts) if jax.tree.leaves(parts) else None
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Quiet(Flow):
-    """No flow."""
-
-    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Shear(Flow):
-    """Steady homogeneous shear ``u_x = rate y`` by Lees-Edwards boundaries."""
-
-    rate: Any
-
-    def batch_axes(self):
-        return Shear(0) if jnp.ndim(self.rate) == 1 else None
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Oscillation(Flow):
-    """Homogeneous shear of strain ``amplitude sin(frequency time)``; see
-    :func:`oscillatory_shear`."""
-
-    amplitude: Any
-    frequency: Any
-
-    @property
-    def rate(self):
-        return self.amplitude * self.frequency
-
-    def rate_at(self, time):
-        return self.rate * jnp.cos(self.frequency * time)
-
-    def strain_in(self, time, dt):
-        # The difference of two sines as a product, which rounds less.
-        half = 0.5 * self.frequency * dt
-        return 2.0 * self.amplitude * jnp.sin(half) * jnp.cos(self.frequency * time + half)
-
-    def batch_axes(self):
-        axes = [0 if jnp.ndim(x) == 1 else None for x in (self.amplitude, self.frequency)]
-        return None if axes == [None, None] else Oscillation(*axes)
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class BodyForce(Flow):
-    """A force on every bead, ``field(position, time, **numbers)``; see :func:`body_force`."""
-
-    field: Callable = dataclasses.field(metadata={"static": True})
-    numbers: dict[str, Any]
-    balance: bool = dataclasses.field(default=True, metadata={"static": True})
-    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
-    jumps: bool = dataclasses.field(default=False, metadata={"static": True})
-
-    def check(self, fluid, state):
-        super().check(fluid, state)
-        if not self.jumps:
-            check_faces(self, state)
-
-    def force(self, state, mass):
-        """Force on each bead (n, 3), less its mean acceleration where balanced."""
-        f = self.field(state.position, state.time, **self.numbers)
-        f = jnp.broadcast_to(f, state.position.shape).astype(state.position.dtype)
-        if self.balance:
-            f = f - mass * (jnp.sum(f, axis=0, keepdims=True) / jnp.sum(mass))
-        return f
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Wave(BodyForce):
-    """A sinusoidal body force along x; see :func:`sinusoidal_force`."""
-
-    def batch_axes(self):
-        axes = {name: 0 if jnp.ndim(x) == 1 else None for name, x in self.numbers.items()}
-        return (
-            dataclasses.replace(self, numbers=axes)
-            if any(axis == 0 for axis in axes.values())
-            else None
-        )
-
-    def check(self, fluid, state):
-        side = state.box.lengths[1]
-        if is_concrete(self, side):
-            waves = np.asarray(self.numbers["wavenumber"]) * float(side) / (2 * np.pi)
-            if np.any(np.abs(waves - np.round(waves)) > 1e-3):
-                raise ValueError(
-                    "the body force is not periodic along y: "
-                    f"{np.array2string(waves, precision=4)} waves in a side of {float(side):.4g}; "
-                    f"use dpd.sinusoidal_force(amplitude, side={float(side):.6g}, waves=...)"
-                )
-        super().check(fluid, state)
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Drive(Flow):
-    """A force and a torque on every bead of one species, the rest held back; see :func:`drive`."""
-
-    push: Any
-    twist: Any
-    species: int = dataclasses.field(metadata={"static": True})
-    reaction: str = dataclasses.field(metadata={"static": True})
-    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
-
-    def check(self, fluid, state):
-        """Refuse a drive of beads that are not there, or a torque on what does not rotate."""
-        if is_concrete(self, state.species):
-            check_driven(self, state)
-        super().check(fluid, state)
-
-    def force(self, state, mass):
-        """Force on each bead (n, 3), without a net one."""
-        driven = (state.species == self.species)[:, None].astype(state.position.dtype)
-        bearing = mass if self.reaction == "all" else mass * (1.0 - driven)
-        push = self.push[None, :]
-        return driven * push - bearing * (jnp.sum(driven) * push / jnp.sum(bearing))
-
-    def torque(self, state):
-        """Torque on each bead that rotates (m, 3), or None where none does."""
-        if state.rotation is None:
-            return None
-        turning = state.species[state.rotation.slots] == self.species
-        return jnp.where(turning[:, None], self.twist[None, :], 0.0)
-
-    def batch_axes(self):
-        axes = [0 if jnp.ndim(x) == 2 else None for x in (self.push, self.twist)]
-        return (
-            None if axes == [None, None] else dataclasses.replace(self, push=axes[0], twist=axes[1])
-        )
-
-
-def quiet() -> Quiet:
-    """No flow: a fluid in equilibrium."""
-    return Quiet()
-
-
-def shear(rate) -> Shear:
-    """Steady shear ``u_x = rate y`` [1/time] under Lees-Edwards boundaries.
-
-    Velocities in the state are peculiar: relative to the streaming velocity.
-    """
-    return Shear(number(rate, "rate"))
-
-
-def oscillatory_shear(amplitude, frequency) -> Oscillation:
-    """Shear of strain ``amplitude sin(frequency t)``, t the time of the state, under Lees-Edwards
-    boundaries.
-
-    The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to
-    wait for. ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.moduli`.
-    """
-    return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
-
-
-def body_force(
-    field: Callable, *, balance: bool = True, jumps: bool = False, **numbers
-) -> BodyForce:
-    """A one-body force field, any small pure function.
-
-    Args:
-        field: ``field(position, time, **numbers) -> force``, with positions (n, 3)
-            [length] and a result that broadcasts to (n, 3) [force].
-        balance: take the net force away each step, as one acceleration common to all
-            beads. Without it a periodic box accelerates for ever.
-        jumps: the field is meant to jump at the faces of the box, as that of reverse Poiseuille
-            flow does (one way in one half, the other way in the other). Elsewhere a jump is a
-            mistake and refused before a run.
-        **numbers: the field's numbers (leaves).
-    """
-    return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance, jumps=jumps)
-
-
-def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> Drive:
-    """The same force and torque on each bead of one species, as large spheres are driven to measure
-    their drag.
-
-    Momentum stays as it is: every bead, or every other one, feels a force in proportion to its mass
-    that makes up for the sum. Nothing makes up for the torque. Measure with
-    :func:`dpdjax.driven_diffusion` and :func:`dpdjax.driven_rotation`.
-
-    Args:
-        force: on each driven bead, along x or a vector (3,) [force].
-        torque: on each driven bead that rotates, about x or a vector (3,) [energy].
-        species: the driven one.
-        reaction: ``"all"`` takes the sum from all beads, the driven ones included, as one
-            acceleration; ``"others"`` from the others alone.
-
-    For a batch, give ``force`` or ``torque`` as (members, 3), such as ``strengths[:, None] *
-    jnp.array([1.0, 0.0, 0.0])``.
-
-    Raises ValueError for an unknown reaction, or nothing to drive.
-    """
-    if reaction not in ("all", "others"):
-        raise ValueError(f'reaction is {reaction!r}; it is "all" or "others"')
-    push, twist = (
-        _along_x(number(x, name), name) for x, name in ((force, "force"), (torque, "torque"))
-    )
-    if is_concrete(push, twist) and not jnp.any(push) and not jnp.any(twist):
-        raise ValueError("nothing is driven: give force=... or torque=...")
-    return Drive(push, twist, species, reaction)
-
-
-def _along_x(value, name: str):
-    vector = value * jnp.array([1.0, 0.0, 0.0], value.dtype) if value.ndim == 0 else value
-    if vector.ndim > 2 or vector.shape[-1] != 3:
-        raise ValueError(
-            f"{name} has shape {value.shape}; give a number along x, a vector (3,), or (members, "
-            "3) for a batch"
-        )
-    return vector
-
-
-def sine_field(position, time, *, amplitude, wavenumber):
-    """``amplitude sin(wavenumber y)`` along x, for :func:`sinusoidal_force`."""
-    fx = amplitude * jnp.sin(wavenumber * position[:, 1])
-    return jnp.stack([fx, jnp.zeros_like(fx), jnp.zeros_like(fx)], axis=1)
-
-
-def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
-    """``amplitude sin(k y)`` along x on each bead, with ``waves`` periods in ``side``.
-
-    Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``. For a batch, give a
-    number for each member.
-    """
-    wavenumber = 2 * jnp.pi * number(waves, "waves") / positive(side, "side")
-    return Wave(sine_field, {"amplitude": number(amplitude, "amplitude"), "wavenumber": wavenumber})
-
-
-def constant_field(position, time, *, acceleration):
-    """The same force on every bead."""
-    return jnp.broadcast_to(acceleration, position.shape)
-
-
-def check_tilt(state) -> None:
-    """Raise ValueError for lists that miss pairs of a tilted box."""
-    if not all(n.grid.sheared for n in state.neighbours):
-        raise ValueError(
-            "this state was made with sheared=False and its lists miss pairs of a tilted box: make "
-            "it without"
-        )
-
-
-def check_answers(flow, fluid, state) -> None:
-    """Raise for a flow whose rate, strain, force or torque has the wrong shape or kind, or is not
-    finite."""
-    kind, dtype = type(flow).__name__, state.position.dtype
-    if not hasattr(flow, "rate"):
-        raise TypeError(f"{kind} has no rate; give it one, rate = 0.0 where it does not shear")
-    flow = jax.tree.map(lambda x: jnp.asarray(x, dtype), chosen(flow, flow.batch_axes(), 0))
-    turning = 0 if state.rotation is None else state.rotation.m
-    mass = jnp.ones((state.n, 1), dtype)
-    answers = {
-        "rate": (lambda: flow.rate_at(state.time), ()),
-        "strain": (lambda: flow.strain_in(state.time, jnp.ones((), dtype)), ()),
-        "force": (lambda: flow.force(state, mass), (state.n, 3)),
-        "torque": (lambda: flow.torque(state), (turning, 3)),
-    }
-    for name, (answer, shape) in answers.items():
-        _check_answer(f"{name} of {kind}", answer, shape, dtype, is_concrete(flow, state))
-
-
-def _check_answer(what: str, answer: Callable, shape, dtype, concrete: bool) -> None:
-    try:
-        value = answer() if concrete else jax.eval_shape(answer)
-    except (TypeError, ValueError, AttributeError) as error:
-        raise type(error)(
-            f"the {what} fails on one state, with the numbers of one member: {error}"
-        ) from error
-    if value is None:
-        return
-    if jnp.shape(value) != shape:
-        raise ValueError(
-            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch need "
-            "batch_axes() to say so"
-        )
-    if jnp.result_type(value, dtype) != dtype:
+def _check_kind(part):
+    if not isinstance(part, (Deformation, Driver)):
         raise TypeError(
-            f"the {what} has dtype {jnp.result_type(value)}, the state {dtype}; return it as "
-            "state.position.dtype"
+            f"flow is {part!r}; give {KNOWN}, a list of them, an object of a class derived from "
+            "dpd.Deformation or dpd.Driver, or None"
         )
-    if concrete and not np.all(np.isfinite(np.asarray(value))):
-        raise ValueError(f"the {what} is not finite at the start; look at its numbers")
+    if any(leaf is part for leaf in jax.tree.leaves(part)):
+        raise TypeError(not_registered(part))
 
 
-def check_driven(flow, state) -> None:
-    """Raise ValueError for a drive of beads that are not there, or a torque on what does not
-    rotate."""
-    there = np.asarray(state.species)
-    if flow.species not in there:
-        raise ValueError(
-            f"no bead is of the driven species {flow.species}; name another: dpd.drive(..., "
-            "species=...)"
-        )
-    if flow.reaction == "others" and np.all(there == flow.species):
-        raise ValueError(
-            'all beads are driven, and reaction="others" has none to act on; use reaction="all"'
-        )
-    turning = () if state.rotation is None else there[state.rotation.slots]
-    if np.any(np.asarray(flow.twist)) and flow.species not in turning:
-        raise ValueError(
-            f"beads of species {flow.species} do not rotate, and a torque is given: give them an "
-            "inertia"
-        )
-
-
-def check_faces(flow, state) -> None:
-    """Refuse a body force whose limits at two opposite faces, both from within the box, differ."""
-    if not is_concrete(flow, state.position, state.box, state.time):
-        return
-    flow = chosen(flow, flow.batch_axes(), 0)
-    sides, strain = np.asarray(state.box.lengths, float), float(state.box.strain)
-    here = np.random.default_rng(0).uniform(size=(64, 3)) * sides
-    # A field may be zero at this moment, or overflow at later ones.
-    for time in float(state.time) + np.array([0.0, 0.3, 1.7]):
-        of = lambda position: np.asarray(
-            jnp.broadcast_to(
-                flow.field(
-                    jnp.asarray(position, state.position.dtype),
-                    jnp.asarray(time, state.time.dtype),
-                    **flow.numbers,
-                ),
-                position.shape,
-            )
-        )
-        scale = np.max(np.abs(of(here)))
-        for axis in range(3) if np.isfinite(scale) else ():
-            low, high = _facing(here, axis, sides, strain)
-            if not np.allclose(of(low), of(high), rtol=0, atol=2e-3 * scale):
-                raise ValueError(
-                    f"the body force is not periodic along {'xyz'[axis]}: it jumps at the face of "
-                    f"a box of sides {sides.tolist()}; give it a whole number of periods in that "
-                    "side, or dpd.body_force(..., jumps=True) where it is meant to jump"
-                )
-
-
-def _facing(here, axis: int, sides, strain: float):
-    """Points just inside a face, and their images just inside the opposite one."""
-    low, high, edge = here.copy(), here.copy(), 1e-6 * sides[axis]
-    low[:, axis], high[:, axis] = edge, sides[axis] - edge
-    if axis == 1:
-        high[:, 0] = np.mod(high[:, 0] + strain * sides[1], sides[0])
-    return low, high
+def _sum(parts):
+    """The sum of those that are not None, or None."""
+    there = [part for part in parts if part is not None]
+    return sum(there[1:], there[0]) if there else None

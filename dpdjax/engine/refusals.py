@@ -6,8 +6,9 @@ import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import advice, soundness
-from dpdjax.engine import flow as flows
 from dpdjax.engine import status as bits
+from dpdjax.engine.answers import not_registered
+from dpdjax.engine.deformation import check_tilt
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State, radii
 from dpdjax.engine.system import System
@@ -17,7 +18,7 @@ from dpdjax.model.fluid import Fluid
 
 def check_run(system: System, state, key):
     """Errors that can be told before the work starts, each with the value and the cure."""
-    fluid, flow = system.fluid, system.flow
+    fluid = system.fluid
     check_kinds(system, state)
     prng_key(key)
     positive(system.dt, "dt")
@@ -45,15 +46,15 @@ def check_run(system: System, state, key):
     soundness.check_laws(fluid, state)
     check_dt(system, state)
     if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
-        flows.check_tilt(state)
+        check_tilt(state)
     # What is known is judged now, inside a program that is being traced too.
     with jax.ensure_compile_time_eval():
-        flow.check(fluid, state)
+        system.flow.check(fluid, state)
 
 
 def check_kinds(system: System, state):
     """Raise TypeError, with what to give, for a system or a state of anything else."""
-    fluid, flow, integrator = system.fluid, system.flow, system.integrator
+    fluid, integrator = system.fluid, system.integrator
     if isinstance(fluid, State) and isinstance(state, Fluid):
         raise TypeError(
             "fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) "
@@ -66,25 +67,13 @@ def check_kinds(system: System, state):
         part = next((name for name in ("final", "state") if hasattr(state, name)), None)
         cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
         raise TypeError(f"state is a {type(state).__name__}; {cure}")
-    if not isinstance(flow, flows.Flow):
-        flows_there_are = (
-            "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
-        )
-        raise TypeError(
-            f"flow is {flow!r}; give {flows_there_are}, a class derived from dpd.Flow, or None"
-        )
     if not isinstance(integrator, Integrator):
         raise TypeError(
             f"integrator is {integrator!r}; give dpd.VelocityVerlet(), an object of a class "
             "derived from dpd.Integrator, or None"
         )
-    for part in (flow, integrator):
-        if any(leaf is part for leaf in jax.tree.leaves(part)):
-            raise TypeError(
-                f"{type(part).__name__} is not registered: put "
-                "@jax.tree_util.register_dataclass and @dataclasses.dataclass(frozen=True) on it, "
-                "so that its numbers are known"
-            )
+    if any(leaf is integrator for leaf in jax.tree.leaves(integrator)):
+        raise TypeError(not_registered(integrator))
 
 
 def check_finite(state):

@@ -6,7 +6,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine import flow as flows
 from dpdjax.engine.batching import chosen, differing, lengths_of, named
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
@@ -32,9 +31,10 @@ class System:
 
     @classmethod
     def of(cls, fluid, dt, flow=None, integrator=None) -> "System":
-        """With no flow and velocity-Verlet unless others are given."""
-        flow = flows.quiet() if flow is None else flow
-        return cls(fluid, dt, flow, VelocityVerlet() if integrator is None else integrator)
+        """With no flow and velocity-Verlet unless others are given; ``flow`` as :meth:`Flow.of`
+        takes it."""
+        integrator = VelocityVerlet() if integrator is None else integrator
+        return cls(fluid, dt, Flow.of(flow), integrator)
 
     def as_type(self, dtype) -> "System":
         """All numbers as arrays of a dtype."""

@@ -6,6 +6,7 @@ import os
 import numpy as np
 
 from dpdjax.checks import prng_key
+from dpdjax.engine.flow import Flow
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.observables import rotations, standard
 from dpdjax.engine.refusals import check_kinds
@@ -71,6 +72,7 @@ def gsd_writer(path, fluid, state, mode: str = "x"):
     with hoomd.open(str(path), mode) as file:
 
         def write(frames, flow=None):
+            flow = None if flow is None else Flow.of(flow)
             file.extend(
                 _frame(hoomd.Frame(), template, state, frames, k, flow)
                 for k in range(len(frames["step"]))

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from dpdjax.engine.flow import Drive
+from dpdjax.engine.drivers import Drive
 from dpdjax.measure import needs
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
 from dpdjax.measure.replicas import refuse_scan, shared
@@ -69,15 +69,15 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
 
     Raises ValueError for a run without such a force, or a batch with several.
     """
-    flow, force, along = _driven(trajectory, "push", "force")
-    beads = chosen_beads(trajectory, flow.species)
-    record = f"dpd.positions_of({flow.species})"
+    drive, force, along = _driven(trajectory, "push", "force")
+    beads = chosen_beads(trajectory, drive.species)
+    record = f"dpd.positions_of({drive.species})"
     position = of_beads(displaced(trajectory, record), trajectory, beads)
     first = int(skip * (position.shape[1] - 1))
     steps = np.diff(position[:, first:], axis=1) @ along / shared(trajectory.interval)
     needs.warn_of_drift({"velocity": steps.mean(axis=2)})
     velocity = block_average(steps.mean(axis=2), blocks)
-    if flow.reaction == "others":
+    if drive.reaction == "others":
         force = force / (1.0 - driven_share(trajectory))
     return _result(trajectory, velocity, force, steps.size, turns=False)
 
@@ -90,15 +90,15 @@ def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Drive
     Arguments, errors and the warning as in :func:`driven_diffusion`; ValueError also where no
     friction turns the spheres, as with ``coupling="central"``.
     """
-    flow, torque, along = _driven(trajectory, "twist", "torque")
+    drive, torque, along = _driven(trajectory, "twist", "torque")
     omega = (
         recorded(trajectory, "angular_velocity", observe="dpd.rotations", averaged=True).astype(
             float
         )
         @ along
     )
-    check_turned(trajectory.fluid, (flow.species,))
-    turning = species_of(trajectory)[trajectory.final.rotation.slots] == flow.species
+    check_turned(trajectory.fluid, (drive.species,))
+    turning = species_of(trajectory)[trajectory.final.rotation.slots] == drive.species
     omega = omega[:, int(skip * omega.shape[1]) :, turning]
     needs.warn_of_drift({"angular velocity": omega.mean(axis=2)})
     return _result(
@@ -109,19 +109,21 @@ def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Drive
 def driven_share(trajectory) -> float:
     """The part of the whole mass that is driven."""
     mass, species = bead_masses(trajectory)[0], species_of(trajectory)
-    return float(mass[species == trajectory.flow.species].sum() / mass.sum())
+    return float(mass[species == trajectory.flow.driver(Drive).species].sum() / mass.sum())
 
 
 def _driven(trajectory, name: str, what: str):
-    """The flow, the size of its force or torque, and its direction (3,)."""
+    """The drive, the size of its force or torque, and its direction (3,)."""
     needs.finished(trajectory)
-    flow = trajectory.flow
-    if not isinstance(flow, Drive) or not np.any(np.asarray(getattr(flow, name))):
+    drive = trajectory.flow.driver(Drive)
+    if drive is None or not np.any(np.asarray(getattr(drive, name))):
         raise ValueError(f"this run had no driving {what}; run it with flow=dpd.drive({what}=...)")
+    needs.unsheared(trajectory, "the drift without the flow", "drive spheres in a run without it")
+    needs.warn_of_others(trajectory, (Drive,))
     refuse_scan(trajectory)
-    vector = np.asarray(getattr(flow, name), float).reshape(-1, 3)[0]
+    vector = np.asarray(getattr(drive, name), float).reshape(-1, 3)[0]
     size = float(np.linalg.norm(vector))
-    return flow, size, vector / size
+    return drive, size, vector / size
 
 
 def _result(trajectory, velocity: Estimate, strength: float, readings: int, turns: bool) -> Driven:

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from dpdjax.checks import is_concrete
-from dpdjax.engine.flow import Flow
 from dpdjax.measure.statistics import block_average
 
 RARELY = 1e-3
@@ -118,8 +117,19 @@ def is_sheared(trajectory) -> bool:
 
 def is_pushed(trajectory) -> bool:
     """Whether a force or a torque drove the run."""
-    flow = type(trajectory.flow)
-    return flow.force is not Flow.force or flow.torque is not Flow.torque
+    return bool(trajectory.flow.drivers)
+
+
+def warn_of_others(trajectory, meant: tuple[type, ...] = ()):
+    """Warns of drivers other than those that are meant: what they do is in what is measured."""
+    others = [d for d in trajectory.flow.drivers if not isinstance(d, meant)]
+    if others:
+        kinds = ", ".join(type(driver).__name__ for driver in others)
+        warnings.warn(
+            f"{kinds} drove this run too, and what it did is in what is measured here; measure in "
+            "a run without it",
+            stacklevel=4,
+        )
 
 
 def unsheared(trajectory, what: str, cure: str):

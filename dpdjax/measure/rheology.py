@@ -101,11 +101,12 @@ def _warn(trajectory, used, cycles):
 
 
 def _oscillation(trajectory):
-    flow = trajectory.flow
-    if not hasattr(flow, "frequency"):
+    oscillation = trajectory.flow.deformation
+    if oscillation.frequency is None:
         raise ValueError("moduli need a run with flow=dpd.oscillatory_shear(amplitude, frequency)")
     refuse_scan(trajectory)
-    return shared(flow.amplitude), shared(flow.frequency)
+    needs.warn_of_others(trajectory)
+    return shared(oscillation.amplitude), shared(oscillation.frequency)
 
 
 def _common_time(frames):

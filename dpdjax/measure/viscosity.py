@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.engine.drivers import Wave
 from dpdjax.engine.observables import (
     drag_pressure,
     instantaneous_viscosity,
@@ -251,11 +252,15 @@ def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> 
 
     Raises ValueError for a run without that force.
     """
-    numbers = getattr(trajectory.flow, "numbers", {})
-    if "wavenumber" not in numbers:
+    needs.finished(trajectory)
+    wave = trajectory.flow.driver(Wave)
+    if wave is None:
         raise ValueError(
             "this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)"
         )
+    needs.unsheared(trajectory, "the wave without the shear", "drive the wave in a run without it")
+    needs.warn_of_others(trajectory, (Wave,))
+    numbers = wave.numbers
     velocity = block_average(
         _later(trajectory, skip, need="wave_velocity")["wave_velocity"], blocks
     )
@@ -297,6 +302,7 @@ def _one_rate(trajectory) -> float:
     if trajectory.flow.deforms and not trajectory.flow.is_steady:
         raise ValueError("the shear of this run oscillates; use dpd.moduli(trajectory).viscosity")
     refuse_scan(trajectory)
+    needs.warn_of_others(trajectory)
     rate = shared(trajectory.flow.rate)
     if rate == 0:
         raise ValueError("this run had no shear; run it with flow=dpd.shear(rate)")

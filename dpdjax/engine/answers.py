@@ -1,0 +1,53 @@
+"""What a deformation or a driver answers, checked on one state before a run."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dpdjax.checks import is_concrete
+from dpdjax.engine.batching import chosen
+
+
+def not_registered(part) -> str:
+    """What to say of an object whose numbers JAX does not know."""
+    return (
+        f"{type(part).__name__} is not registered: put @jax.tree_util.register_dataclass and "
+        "@dataclasses.dataclass(frozen=True) on it, so that its numbers are known"
+    )
+
+
+def check_answers(part, state, answers: dict[str, tuple[Callable, tuple]]) -> None:
+    """Raise where an answer of the part has the wrong shape or kind, or is not finite.
+
+    ``answers``: by name a function of the part, with the numbers of one member, and its shape.
+    """
+    kind, dtype = type(part).__name__, state.position.dtype
+    part = jax.tree.map(lambda x: jnp.asarray(x, dtype), chosen(part, part.batch_axes(), 0))
+    for name, (answer, shape) in answers.items():
+        concrete = is_concrete(part, state)
+        _check_answer(f"{name} of {kind}", lambda: answer(part), shape, dtype, concrete)
+
+
+def _check_answer(what: str, answer: Callable, shape, dtype, concrete: bool) -> None:
+    try:
+        value = answer() if concrete else jax.eval_shape(answer)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise type(error)(
+            f"the {what} fails on one state, with the numbers of one member: {error}"
+        ) from error
+    if value is None:
+        return
+    if jnp.shape(value) != shape:
+        raise ValueError(
+            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch need "
+            "batch_axes() to say so"
+        )
+    if jnp.result_type(value, dtype) != dtype:
+        raise TypeError(
+            f"the {what} has dtype {jnp.result_type(value)}, the state {dtype}; return it as "
+            "state.position.dtype"
+        )
+    if concrete and not np.all(np.isfinite(np.asarray(value))):
+        raise ValueError(f"the {what} is not finite at the start; look at its numbers")

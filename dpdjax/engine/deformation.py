@@ -1,0 +1,140 @@
+"""Deformations of the box: none, steady shear, oscillating shear. Their numbers are leaves."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from dpdjax.checks import number, positive
+from dpdjax.engine.answers import check_answers
+
+
+class Deformation:
+    """What every deformation answers; by default a steady shear of its ``rate``.
+
+    One of your own is a frozen dataclass derived from this one, registered with
+    ``jax.tree_util.register_dataclass``, its numbers leaves.
+
+    Attributes:
+        rate: the shear rate; the largest where it changes [1/time]. One that never deforms the box
+            has the plain number 0.0, as a static field or an attribute of its class.
+        frequency: angular frequency of an oscillation [1/time], None of what does not oscillate.
+    """
+
+    rate: Any
+    frequency: Any = None
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the shear rate never changes."""
+        kind = type(self)
+        unchanged = kind.rate_at is Deformation.rate_at
+        return unchanged and kind.strain_in is Deformation.strain_in
+
+    @property
+    def deforms(self) -> bool:
+        """Whether it can tilt the box, by its kind and whatever its numbers: False only for a plain
+        rate of 0."""
+        return not (self.is_steady and isinstance(self.rate, (int, float)) and self.rate == 0)
+
+    def check(self, fluid, state):
+        """Raise TypeError or ValueError, before a run of one state, for one that cannot work there.
+
+        A deformation with demands of its own adds them, and calls this one by ``super()``.
+        """
+        if not hasattr(self, "rate"):
+            kind = type(self).__name__
+            raise TypeError(f"{kind} has no rate; give it one, rate = 0.0 where it does not shear")
+        step = jnp.ones((), state.position.dtype)
+        answers = {
+            "rate": (lambda one: one.rate_at(state.time), ()),
+            "strain": (lambda one: one.strain_in(state.time, step), ()),
+        }
+        check_answers(self, state, answers)
+        if self.deforms:
+            check_tilt(state)
+
+    def rate_at(self, time):
+        """Shear rate at a time [1/time]."""
+        return self.rate
+
+    def strain_in(self, time, dt):
+        """Shear strain of the step that begins at ``time``."""
+        return self.rate * dt
+
+    def batch_axes(self):
+        """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
+        return None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Still(Deformation):
+    """None: the box stays as it is."""
+
+    rate: float = dataclasses.field(default=0.0, metadata={"static": True})
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Shear(Deformation):
+    """Steady homogeneous shear ``u_x = rate y`` by Lees-Edwards boundaries."""
+
+    rate: Any
+
+    def batch_axes(self):
+        return Shear(0) if jnp.ndim(self.rate) == 1 else None
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Oscillation(Deformation):
+    """Homogeneous shear of strain ``amplitude sin(frequency time)``; see
+    :func:`oscillatory_shear`."""
+
+    amplitude: Any
+    frequency: Any
+
+    @property
+    def rate(self):
+        return self.amplitude * self.frequency
+
+    def rate_at(self, time):
+        return self.rate * jnp.cos(self.frequency * time)
+
+    def strain_in(self, time, dt):
+        # The difference of two sines as a product, which rounds less.
+        half = 0.5 * self.frequency * dt
+        return 2.0 * self.amplitude * jnp.sin(half) * jnp.cos(self.frequency * time + half)
+
+    def batch_axes(self):
+        axes = [0 if jnp.ndim(x) == 1 else None for x in (self.amplitude, self.frequency)]
+        return None if axes == [None, None] else Oscillation(*axes)
+
+
+def shear(rate) -> Shear:
+    """Steady shear ``u_x = rate y`` [1/time] under Lees-Edwards boundaries.
+
+    Velocities in the state are peculiar: relative to the streaming velocity.
+    """
+    return Shear(number(rate, "rate"))
+
+
+def oscillatory_shear(amplitude, frequency) -> Oscillation:
+    """Shear of strain ``amplitude sin(frequency t)``, t the time of the state, under Lees-Edwards
+    boundaries.
+
+    The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to
+    wait for. ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.moduli`.
+    """
+    return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
+
+
+def check_tilt(state) -> None:
+    """Raise ValueError for lists that miss pairs of a tilted box."""
+    if not all(n.grid.sheared for n in state.neighbours):
+        raise ValueError(
+            "this state was made with sheared=False and its lists miss pairs of a tilted box: make "
+            "it without"
+        )
