@@ -35,7 +35,7 @@ _HOMES = {
         "proportional_to",
         "reaches",
     ],
-    "dpdjax.model.term": ["Term", "term"],
+    "dpdjax.model.term": ["Term", "term", "whole"],
     "dpdjax.model.fluid": ["Fluid", "Interaction", "fluid", "interaction"],
     "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time", "pure_solvent"],
     "dpdjax.model.marbles": ["marble_fluid"],
@@ -58,7 +58,7 @@ _HOMES = {
     "dpdjax.engine.record": ["mean", "integral"],
     "dpdjax.engine.integrator": ["Integrator", "VelocityVerlet"],
     "dpdjax.engine.trajectory": ["Plan", "Trajectory"],
-    "dpdjax.engine.simulate": ["simulate"],
+    "dpdjax.engine.simulate": ["forces", "simulate", "step"],
     "dpdjax.engine.observables": [
         "configurational_temperature",
         "instantaneous_viscosity",
@@ -128,7 +128,7 @@ _HOMES = {
     "dpdjax.host.stream": ["RunError", "stream"],
     "dpdjax.host.gsd": ["gsd_record", "gsd_writer", "run_to_gsd", "write_gsd"],
     "dpdjax.host.io": ["load_state", "save_state"],
-    "dpdjax.host.plot": ["plot_box", "plot_calibration", "plot_convergence"],
+    "dpdjax.host.plot": ["plot_box"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)

@@ -28,7 +28,7 @@ def main(argv=None) -> int:
     else:
         print(arguments.readable(result))
     if arguments.plot:
-        figure().savefig(arguments.plot, dpi=150, bbox_inches="tight")
+        figure().figure.savefig(arguments.plot, dpi=150, bbox_inches="tight")
         print(f"wrote {arguments.plot}", file=sys.stderr)
     return 0
 
@@ -260,7 +260,7 @@ def _calibrate(arguments):
             for p in fit.history
         ],
     }
-    return result, lambda: dpd.plot_calibration(fit)
+    return result, lambda: fit.plot()
 
 
 def _viscosity(arguments):
@@ -290,7 +290,7 @@ def _viscosity(arguments):
         "compile_seconds": round(measured.compile_seconds, 1),
         "particle_steps": measured.particle_steps,
     }
-    return result, lambda: dpd.plot_convergence(measured)
+    return result, lambda: measured.plot()
 
 
 def _suspension(arguments):

@@ -74,3 +74,17 @@ def test_traced_numbers_are_told_as_such(water, fresh):
 
     look(water, fresh)
     assert "traced" in said[0] and "not known" in said[1] and "traced" in said[2]
+
+
+def test_notebooks_see_tables(water, two):
+    """Short, escaped, and of all that is said of itself."""
+    drag = water.interactions[0].terms[1]
+    for shown, words in (
+        (water, ("kT 1", "soft_repulsion", "energies")),
+        (drag, ("central_drag", "gamma", "4.5")),
+        (two, ("temperature", "2 steps")),
+        (two.final, ("2 members", "box")),
+    ):
+        table = shown._repr_html_()
+        assert table.startswith("<table>") and len(table) < 2000
+        assert all(word in table for word in words), table

@@ -20,10 +20,12 @@ from dpdjax.calibration.goal import (
     viscosity_goal_at,
 )
 from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
+from dpdjax.calibration.picture import draw_calibration
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.engine.advice import drag_viscosity, thermal_time
 from dpdjax.engine.compiling import Clock
 from dpdjax.measure.statistics import Estimate
+from dpdjax.model.summary import as_table
 
 MAX_POINTS = 10
 NEAR = 0.1
@@ -82,6 +84,21 @@ class Calibration:
     @property
     def error(self) -> float:
         return self.estimate.error
+
+    def plot(self, ax=None):
+        """Draw the points with their slopes, the curve through them, the target and the fresh run;
+        returns the axes."""
+        return draw_calibration(self, ax)
+
+    def _repr_html_(self):
+        rows = {
+            self.parameter: self.estimate,
+            f"wanted {self.name}": f"{self.target:g}",
+            "of a fresh run": self.measured,
+            "dt, shear rate": f"{self.dt:.3g}, {self.rate:.3g}",
+            "cost": f"{self.particle_steps:.2g} particle-steps, {self.seconds:.0f} s",
+        }
+        return as_table(f"Calibration of {self.parameter}", rows.items())
 
     def __str__(self):
         return (

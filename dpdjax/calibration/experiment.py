@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.calibration.goal import Goal, check_observed
+from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
 from dpdjax.engine.batching import each_member
@@ -143,6 +144,7 @@ class Measurement:
         dt, rate: time step and shear rate.
         temperature: mean kinetic temperature, where the goal records it.
         particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
+        name: of the number.
     """
 
     estimate: Estimate
@@ -154,6 +156,11 @@ class Measurement:
     seconds: float = math.nan
     compile_seconds: float = math.nan
     temperature: float = math.nan
+    name: str = "viscosity"
+
+    def plot(self, ax=None):
+        """Draw the running mean with its final error; returns the axes."""
+        return draw_measurement(self, ax)
 
     def __str__(self):
         cost = f"{self.particle_steps:.2g} particle-steps, {self.seconds:.0f} s"
@@ -199,7 +206,10 @@ def measure(bench: Bench, fluid, error: float, settle: float, most: int, report)
     times = dt * PIECE.every * np.arange(1, count + 1)
     values = bench.goal.scale * np.concatenate(series, axis=1)
     rate, temperature = float(bench.goal.flow.rate), float(np.mean(heat))
-    return Measurement(estimate, values, times, dt, rate, bench.steps, temperature=temperature)
+    spent = bench.steps
+    return Measurement(
+        estimate, values, times, dt, rate, spent, temperature=temperature, name=bench.goal.name
+    )
 
 
 def _tell_heat(bench, fluid, dt, temperature):

@@ -15,7 +15,7 @@ from dpdjax.model import summary
 from dpdjax.model.colloids import diffusion_time
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid, Interaction
-from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE
+from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE, Whole
 
 REBUILD_COST = 1.0
 """One rebuild in units of one force pass over the same list (measured: tests/benchmarks)."""
@@ -317,7 +317,7 @@ def suggest_skins(fluid: Fluid, dt, counts, volume: float) -> list[float]:
     return [suggest_skin(fluid, dt, k, sorting(i, reach)) for k, (i, reach) in each]
 
 
-def extreme(fluid: Fluid, least: str | None = None) -> Fluid:
+def extreme(fluid: Fluid, least: str | None = None, member: int = 0) -> Fluid:
     """The fluid with every scan and every table replaced by its largest number; masses and
     ``least`` by the smallest.
 
@@ -331,8 +331,9 @@ def extreme(fluid: Fluid, least: str | None = None) -> Fluid:
     largest = lambda leaf: np.max(np.asarray(leaf, float))
 
     def of_term(t):
+        of = lambda k, c: np.min(np.asarray(c, float)) if k == least else largest(c)
         coefficients = {
-            k: np.min(np.asarray(c, float)) if k == least else largest(c)
+            k: c.members[member % len(c.members)] if isinstance(c, Whole) else of(k, c)
             for k, c in t.coefficients.items()
         }
         return dataclasses.replace(
@@ -353,15 +354,13 @@ def extreme(fluid: Fluid, least: str | None = None) -> Fluid:
 def _cases(fluid):
     """Fluids one of which is the worst of a scan: all numbers at their largest, and one of them at
     its smallest."""
-    yield extreme(fluid)
-    scanned = {
-        name
-        for i in fluid.interactions
-        for t in i.terms
-        for name, c in t.coefficients.items()
-        if np.size(c) > 1
-    }
-    yield from (extreme(fluid, name) for name in sorted(scanned))
+    terms = [t for i in fluid.interactions for t in i.terms]
+    coefficients = [(name, c) for t in terms for name, c in t.coefficients.items()]
+    wholes = [len(c.members) for _, c in coefficients if isinstance(c, Whole)]
+    scanned = {name for name, c in coefficients if not isinstance(c, Whole) and np.size(c) > 1}
+    for member in range(max(wholes, default=1)):
+        yield extreme(fluid, member=member)
+        yield from (extreme(fluid, name, member) for name in sorted(scanned))
 
 
 def _densities(fluid, density):

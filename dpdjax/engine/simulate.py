@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from dpdjax.checks import is_concrete, prng_key
 from dpdjax.engine import motion, order, soundness
 from dpdjax.engine import status as bits
-from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.forces import EVERYTHING
+from dpdjax.engine.integrator import Forces, Integrator, forces_on, update_lists
 from dpdjax.engine.record import Recorder, averaged, check_names, recorders
 from dpdjax.engine.refusals import check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
@@ -152,3 +153,58 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
     state, sums = repeated(body, (state, zeros), every - 1)
     state = one(state, True)
     return state, add(sums, state)
+
+
+def step(
+    fluid: Fluid, state: State, key, dt, flow=None, *, integrator: Integrator | None = None
+) -> State:
+    """One step, for a loop of one's own: pure, so ``jit``, ``vmap`` and ``grad`` go through.
+
+    Lists are kept up to date and the sums over pairs are in ``state.tally``, so that observables
+    may be called. ``n`` of these are the ``n`` steps of :func:`simulate`, up to rounding. Check
+    ``state.status`` now and then: it is 0 while all is well, ``dpd.grow(state)`` makes room in a
+    list that overflowed.
+
+    Arguments as for :func:`simulate`. What cannot run is refused at the first step of a state,
+    whose force is not yet known.
+    """
+    system = System.of(fluid, dt, flow, integrator)
+    if not is_concrete(state.started) or not state.started:
+        check_run(system, state, key)
+    system, key = system.as_type(state.position.dtype), prng_key(key)
+    state = system.integrator.start(system, state, key)
+    state = system.integrator.step(system, state, key, True)
+    trouble = list_trouble(system.fluid, state) | motion.trouble(system.fluid, state, system.dt)
+    return _judged(state, trouble)
+
+
+def forces(
+    fluid: Fluid,
+    state: State,
+    key,
+    dt,
+    flow=None,
+    *,
+    kinds: tuple[str, ...] = EVERYTHING,
+) -> Forces:
+    """What acts on the beads of a state at its positions and velocities, wherever those are from.
+
+    Args:
+        fluid, state: what, and where; lists that are stale are built anew first.
+        key, dt: of the noise of ``state.step``, whose size is ``sqrt(2 kT zeta / dt)``.
+        flow: what drives the fluid.
+        kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"``.
+
+    Returns :class:`Forces`: force (n, 3), torque (m, 3) or None, and the tally of energy and
+    virials. Pure; NaN where a list overflowed, for which ``dpd.grow(state)`` makes room. Raises
+    ValueError for an unknown kind, and as :func:`simulate` does.
+    """
+    unknown = [kind for kind in kinds if kind not in EVERYTHING]
+    if unknown:
+        raise ValueError(f"kinds has {unknown[0]!r}; they are {', '.join(EVERYTHING)}")
+    system = System.of(fluid, dt, flow)
+    check_run(system, state, key)
+    system = system.as_type(state.position.dtype)
+    state = update_lists(state)
+    found = forces_on(system, state, state.velocity, prng_key(key), True, tuple(kinds))
+    return bits.poison(found, list_trouble(system.fluid, state), (system, state))

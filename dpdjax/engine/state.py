@@ -108,6 +108,10 @@ class State:
             + (trouble and f": {trouble}")
         )
 
+    def _repr_html_(self):
+        inside = repr(self).removeprefix("State(").removesuffix(")")
+        return summary.as_table("State", [(part,) for part in inside.split(", ")])
+
     @property
     def n(self) -> int:
         """Number of beads."""

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax import drawing
 from dpdjax.engine.batching import chosen
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
@@ -81,6 +82,42 @@ class Trajectory:
         head = ", ".join([head, *filter(None, told)])
         values = ", ".join(f"{name} {shape}" for name, shape in recorded.items())
         return f"{head}: {values}; final {self.final!r})"
+
+    def _repr_html_(self):
+        recorded = [(k, jnp.shape(x)) for k, x in self.frames.items() if hasattr(x, "shape")]
+        title = repr(self).partition(":")[0].replace("(", ", ", 1)
+        return summary.as_table(title, [*recorded, ("final", repr(self.final))])
+
+    def plot(self, name: str | None = None, ax=None):
+        """Draw a number that was recorded of each frame against time, of each member a line.
+
+        Args:
+            name: of what was recorded; by default the temperature, with kT, or else the first
+                number there is.
+            ax: matplotlib axes, or None for new ones.
+
+        Returns the axes. Raises ValueError where nothing recorded under the name is one number a
+        frame.
+        """
+        time = np.asarray(self.frames.get("time", ()))
+        clocks = ("time", "step")
+        numbers = [
+            k for k, x in self.frames.items() if np.shape(x) == np.shape(time) and k not in clocks
+        ]
+        first = "temperature" if "temperature" in numbers else next(iter(numbers), None)
+        name = first if name is None else name
+        if name not in numbers:
+            raise ValueError(
+                f"{name!r} is no number that was recorded of each frame; those are "
+                f"{', '.join(numbers)}"
+            )
+        ax = drawing.axes(ax)
+        ax.plot(np.atleast_2d(time).T, np.atleast_2d(self.frames[name]).T, lw=1)
+        if name == "temperature":
+            for kT in np.unique(np.asarray(self.fluid.kT)):
+                ax.axhline(kT, color="0.4", ls="--", lw=1)
+        ax.set(xlabel="t [time]", ylabel=name)
+        return ax
 
     @property
     def fluid(self):

@@ -5,10 +5,11 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.drawing import curve
 from dpdjax.measure.contacts import spheres_and_gap
 from dpdjax.measure.spheres import close_pairs, frames_of
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, draw, pieces_of_member, standard_error
+from dpdjax.measure.structure import average, pieces_of_member, standard_error
 
 SURVIVAL_PIECES = 4
 """Independent pieces that the lags of the survival leave unless told otherwise, replicas counted.
@@ -42,7 +43,7 @@ class Bonds:
 
     def plot(self, ax=None):
         """Draw the survival with its error band; returns the matplotlib axes."""
-        return draw(
+        return curve(
             ax, self.lag, self.survival, self.error, "t [time]", "share of bonds that survive"
         )
 

@@ -6,10 +6,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from dpdjax.drawing import curve
 from dpdjax.measure.contacts import spheres_and_gap
 from dpdjax.measure.spheres import by_frame, close_pairs, nearest
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, draw, error_of, standard_error
+from dpdjax.measure.structure import average, error_of, standard_error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Clusters:
     def plot(self, ax=None):
         """Draw the largest cluster against time, with the error over replicas; returns the
         matplotlib axes."""
-        return draw(
+        return curve(
             ax,
             self.time,
             self.largest.mean(axis=0),

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 
 from dpdjax.checks import positive
+from dpdjax.drawing import curve
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, draw, error_of
+from dpdjax.measure.structure import average, error_of
 from dpdjax.model.colloids import attraction_range
 
 
@@ -35,7 +36,7 @@ class ContactNumber:
 
     def plot(self, ax=None):
         """Draw the shares with their error band; returns the matplotlib axes."""
-        return draw(ax, self.z, self.share, self.error, "contacts z", "P(z)")
+        return curve(ax, self.z, self.share, self.error, "contacts z", "P(z)")
 
 
 def contact_number(what, *, gap: float | None = None) -> ContactNumber:

@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.drawing import curve
 from dpdjax.measure.reading import chosen_beads
 from dpdjax.measure.spheres import as_spheres, by_frame, nearest, of_run
-from dpdjax.measure.structure import RadialDistribution, distance_edges, draw, error_of, whole_bins
+from dpdjax.measure.structure import RadialDistribution, distance_edges, error_of, whole_bins
 
 PAIRS_AT_ONCE = 2**14
 """Pairs looked at together: few enough for their separations to stay in the cache."""
@@ -28,7 +29,7 @@ class PairDistribution:
 
     def plot(self, ax=None):
         """Draw g with its error band; returns the matplotlib axes."""
-        return draw(ax, self.h, self.g, self.error, "h [length]", "g(h)")
+        return curve(ax, self.h, self.g, self.error, "h [length]", "g(h)")
 
 
 def pair_distribution(

@@ -10,6 +10,7 @@ import warnings
 import jax
 import numpy as np
 
+from dpdjax.drawing import curve
 from dpdjax.engine.rotation import axis_of
 from dpdjax.engine.state import inertias
 from dpdjax.measure import needs, transport
@@ -17,7 +18,7 @@ from dpdjax.measure.forgetting import Memory
 from dpdjax.measure.reading import recorded
 from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import draw, standard_error
+from dpdjax.measure.structure import standard_error
 from dpdjax.measure.transport import correlated, read_diffusion
 
 RECORD = "dpd.rotations"
@@ -41,7 +42,7 @@ class RotationalCorrelation:
 
     def plot(self, ax=None):
         """Draw it with its error band; returns the matplotlib axes."""
-        return draw(ax, self.time, self.value, self.error, "t [time]", self.name)
+        return curve(ax, self.time, self.value, self.error, "t [time]", self.name)
 
 
 def angular_velocity_autocorrelation(

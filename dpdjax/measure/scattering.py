@@ -5,8 +5,9 @@ import functools
 
 import numpy as np
 
+from dpdjax.drawing import curve
 from dpdjax.measure.spheres import as_spheres, by_frame, shift_of
-from dpdjax.measure.structure import draw, error_of, whole_bins
+from dpdjax.measure.structure import error_of, whole_bins
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +29,7 @@ class StructureFactor:
 
     def plot(self, ax=None):
         """Draw S with its error band; returns the matplotlib axes."""
-        return draw(ax, self.q, self.s, self.error, "q [1 / length]", "S(q)")
+        return curve(ax, self.q, self.s, self.error, "q [1 / length]", "S(q)")
 
 
 def structure_factor(what, *, q_max: float | None = None, bins: int = 60) -> StructureFactor:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.drawing import curve
 from dpdjax.engine import box as boxes
 from dpdjax.measure.reading import as_frames, recorded, side_lengths, strains
 from dpdjax.measure.statistics import Estimate
@@ -39,7 +40,7 @@ class RadialDistribution:
 
     def plot(self, ax=None):
         """Draw g with its error band; returns the matplotlib axes."""
-        return draw(ax, self.r, self.g, self.error, "r [length]", "g(r)")
+        return curve(ax, self.r, self.g, self.error, "r [length]", "g(r)")
 
 
 def radial_distribution(
@@ -218,20 +219,3 @@ def standard_error(pieces) -> np.ndarray:
     if count < 2:
         return np.full(pieces.shape[1:], np.nan)
     return pieces.std(axis=0, ddof=1) / np.sqrt(count)
-
-
-def draw(ax, x, y, error, xlabel: str, ylabel: str):
-    """A line in a band of one standard error; returns the matplotlib axes, new ones for None."""
-    ax = _new_axes() if ax is None else ax
-    (line,) = ax.plot(x, y)
-    ax.fill_between(x, y - error, y + error, color=line.get_color(), alpha=0.3, linewidth=0)
-    ax.set(xlabel=xlabel, ylabel=ylabel)
-    return ax
-
-
-def _new_axes():
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise ImportError("drawing needs matplotlib: pip install 'dpdjax[plot]'") from error
-    return plt.subplots()[1]

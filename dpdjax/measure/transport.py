@@ -11,12 +11,13 @@ import warnings
 
 import numpy as np
 
+from dpdjax.drawing import curve
 from dpdjax.measure import needs
 from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
 from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate, from_replicas
-from dpdjax.measure.structure import PIECES, draw, pieces_of_member, standard_error
+from dpdjax.measure.structure import PIECES, pieces_of_member, standard_error
 
 BEADS_AT_ONCE = 256
 """Beads Fourier-transformed at a time."""
@@ -47,7 +48,7 @@ class MeanSquaredDisplacement:
     def plot(self, ax=None):
         """Draw it in double logarithmic scale with its error band; returns the matplotlib axes."""
         label = "mean squared displacement [length$^2$]"
-        ax = draw(ax, self.time[1:], self.value[1:], self.error[1:], "t [time]", label)
+        ax = curve(ax, self.time[1:], self.value[1:], self.error[1:], "t [time]", label)
         ax.set(xscale="log", yscale="log")
         return ax
 
@@ -69,7 +70,7 @@ class VelocityAutocorrelation:
     def plot(self, ax=None):
         """Draw it with its error band; returns the matplotlib axes."""
         label = "velocity autocorrelation [length$^2$ / time$^2$]"
-        return draw(ax, self.time, self.value, self.error, "t [time]", label)
+        return curve(ax, self.time, self.value, self.error, "t [time]", label)
 
 
 def mean_squared_displacement(

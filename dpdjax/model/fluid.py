@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import is_concrete, not_negative, number, positive
+from dpdjax.checks import is_concrete, not_negative, positive
 from dpdjax.model import summary
 from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
-from dpdjax.model.term import Term, check_table, replace_coefficients, several
+from dpdjax.model.term import Term, Whole, check_table, coefficient, replace_coefficients, several
 
 ORIGINS = ("conservative", "drag", "random")
 """Where stress comes from, unless a term has a name of its own for it."""
@@ -82,6 +82,12 @@ class Fluid:
 
     def __str__(self):
         return summary.full(self)
+
+    def _repr_html_(self):
+        title = f"Fluid, kT {summary.written(self.kT)}, mass {summary.written(self.mass)}"
+        return summary.as_table(
+            title, summary.laws_of(self), ("species", "law", "numbers", "energies")
+        )
 
     @property
     def species(self) -> int:
@@ -174,9 +180,7 @@ class Fluid:
         """
 
         def axes(t: Term) -> Term:
-            coefficients = {
-                k: 0 if jnp.ndim(c) in (1, 3) else None for k, c in t.coefficients.items()
-            }
+            coefficients = {k: _batch_axis(c) for k, c in t.coefficients.items()}
             return dataclasses.replace(t, coefficients=coefficients, cut=None)
 
         one_more = lambda value, least: 0 if jnp.ndim(value) == least + 1 else None
@@ -226,7 +230,7 @@ class Fluid:
         turned = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
         inertia = tuple(old if old is None or turned is None else turned for old in self.inertia)
         for name, value in numbers.items():
-            check_table(name, number(value, name), self.species)
+            check_table(name, coefficient(value, name, *_wholes(chosen, name)), self.species)
         groups = [i.groups for i in chosen]
         changed = lambda i: (
             i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
@@ -324,6 +328,27 @@ def fluid(
     return Fluid(interactions, not_negative(kT, "kT"), _masses(mass, count), radius, inertia)
 
 
+def _wholes(interactions, name: str) -> list[Whole]:
+    """The first coefficient of a name that some term takes whole, if any."""
+    terms = [t for i in interactions for t in i.terms]
+    found = [t.coefficients[name] for t in terms if name in t.coefficients]
+    return [c for c in found if isinstance(c, Whole)][:1]
+
+
+def _times(c, factor):
+    """A coefficient times a number; of what is taken whole every entry."""
+    return jax.tree.map(lambda leaf: leaf * factor, c)
+
+
+def _batch_axis(c):
+    """0 for a coefficient that is a batch, else None: coefficients are scalars, tables or taken
+    whole, so that one more axis is a batch."""
+    if isinstance(c, Whole):
+        ones = jax.tree.map(lambda _: 0, c.value)
+        return dataclasses.replace(c, value=ones) if c.is_batch else None
+    return 0 if jnp.ndim(c) in (1, 3) else None
+
+
 def _groups(between) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Both groups as tuples of species, the lower first."""
     if not hasattr(between, "__len__") or len(between) != 2:
@@ -399,7 +424,7 @@ def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
         return (
             t
             if name not in t.coefficients
-            else replace_coefficients(t, {name: t.coefficients[name] * (kT / fluid.kT)})
+            else replace_coefficients(t, {name: _times(t.coefficients[name], kT / fluid.kT)})
         )
 
     return tuple(
@@ -442,7 +467,7 @@ def _count_species(terms, mass, radius, inertia, species, groups):
         value.shape[0]: name
         for t in terms
         for name, value in t.coefficients.items()
-        if value.ndim == 2
+        if not isinstance(value, Whole) and value.ndim == 2
     }
     if np.ndim(mass) == 1:
         sizes.setdefault(np.shape(mass)[0], "mass")
@@ -465,7 +490,12 @@ def _agreed(name, found):
     values = [t.coefficients[name] for _, t in found]
     first = values[0]
     if all(v is first for v in values):
-        return first
+        return first.value if isinstance(first, Whole) else first
+    if any(isinstance(v, Whole) for v in values):
+        raise ValueError(
+            f"several terms take {name!r} whole, or some do; ask for one of them, "
+            f"fluid.value({name!r}, between=(0, 0))"
+        )
     alike = all(jnp.shape(v) == jnp.shape(first) for v in values)
     if alike and not is_concrete(values):
         same = jnp.all(jnp.stack([jnp.all(v == first) for v in values]))

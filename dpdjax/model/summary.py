@@ -1,4 +1,7 @@
-"""A fluid in words, with its energies in kT."""
+"""A fluid in words, with its energies in kT; and tables for notebooks."""
+
+import html
+from collections.abc import Iterable
 
 import jax
 import jax.numpy as jnp
@@ -20,15 +23,32 @@ def short(fluid) -> str:
 
 def full(fluid) -> str:
     """A line for every law, with its numbers, and the energies of potentials in kT."""
-    lines = [f"kT {written(fluid.kT)}, mass {written(fluid.mass)}"]
+    lines = [
+        f"{groups}  {law}, {numbers}" + (energies and f": {energies}")
+        for groups, law, numbers, energies in laws_of(fluid)
+    ]
+    return "\n".join([f"kT {written(fluid.kT)}, mass {written(fluid.mass)}", *lines])
+
+
+def laws_of(fluid) -> list[tuple[str, str, str, str]]:
+    """Of every law the groups it acts between, its name, its numbers, and its energies in kT."""
+    rows = []
     for i in fluid.interactions:
         for t in i.terms:
+            is_potential = any(t is u for u in i.conservative)
+            energies = energies_in_kT(fluid, i, t) if is_potential else ""
             numbers = ", ".join(f"{k} {written(c)}" for k, c in t.coefficients.items())
-            energies = (
-                f": {energies_in_kT(fluid, i, t)}" if any(t is u for u in i.conservative) else ""
-            )
-            lines.append(f"{_groups(i)}  {name_of(t.law)}, {numbers}{energies}")
-    return "\n".join(lines)
+            rows.append((_groups(i), name_of(t.law), numbers, energies))
+    return rows
+
+
+def as_table(title: str, rows: Iterable[tuple], head: tuple[str, ...] = ()) -> str:
+    """Rows of words as a table of HTML under a title, for notebooks."""
+    cells = lambda row, kind: "".join(f"<{kind}>{html.escape(str(x))}</{kind}>" for x in row)
+    line = lambda row, kind: f"<tr style='text-align: left'>{cells(row, kind)}</tr>"
+    lines = ([line(head, "th")] if head else []) + [line(row, "td") for row in rows]
+    caption = f"<caption style='text-align: left'><b>{html.escape(title)}</b></caption>"
+    return f"<table>{caption}{''.join(lines)}</table>"
 
 
 def energies_in_kT(fluid, interaction, term) -> str:
@@ -50,10 +70,16 @@ def depth_in_kT(fluid, interaction, term) -> tuple[float, float, float]:
     radius = lambda group: max(
         0.0 if fluid.radius[k] is None else float(np.max(fluid.radius[k])) for k in group
     )
-    R_i, R_j = map(radius, interaction.groups)
-    law, reach = term.between(np.max, R_i=R_i, R_j=R_j, kT=kT)
+    given = dict(zip(("R_i", "R_j"), map(radius, interaction.groups))) | {"kT": kT}
+    found = [_depth(each, given) for each in term.members]
+    return max(found, key=lambda one: one[1])
+
+
+def _depth(term, given: dict) -> tuple[float, float, float]:
+    """That of :func:`depth_in_kT` for one member."""
+    law, reach = term.between(np.max, **given)
     h = jnp.asarray(GAPS * float(reach))
-    energy = np.asarray(jnp.broadcast_to(law(h), h.shape), float) / kT
+    energy = np.asarray(jnp.broadcast_to(law(h), h.shape), float) / given["kT"]
     energy = energy - energy[-1]
     lowest = int(np.nanargmin(energy))
     return energy[0], -energy[lowest], float(h[lowest])
@@ -86,6 +112,8 @@ def span(value) -> str:
 def written(value) -> str:
     """A number, or the numbers of a table or a scan; of what is no number, such as the axes of a
     batch, what Python says."""
+    if not hasattr(value, "__array__") and hasattr(value, "is_batch"):
+        return repr(value)
     if not is_concrete(value):
         return f"traced {jnp.shape(value)}"
     if not isinstance(value, (int, float)) and not hasattr(value, "__array__"):

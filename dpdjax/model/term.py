@@ -25,6 +25,8 @@ from dpdjax.model.declare import (
 GIVEN = ("R_i", "R_j", "kT")
 """What a law may ask for by name without being given it: the radii of the two beads, the thermal
 energy."""
+NUMBER = (jax.tree.structure(0), ((),))
+"""The kind of a number, as :attr:`Whole.kind`."""
 GAPS = (5,)
 """Shape of the gaps that a law is tried with: one that no pair of numbers has by accident."""
 CURES = {
@@ -37,10 +39,65 @@ CURES = {
     "valid JAX": "does not return numbers; an energy or a friction is wanted for each gap",
 }
 """What Python and JAX say of a law that cannot be traced, and what is told instead."""
+OF_FLUIDS = ("mass", "inertia", "between", "energies")
+"""Names that ``fluid.set`` takes and no coefficient may have."""
 RESERVED = ("kinetic", "conservative", "drag", "random", "tensor")
 """Names of stresses that no term may take for its own."""
 ALONG, ACROSS = (CENTRAL, FULL), (TRANSVERSE, FULL)
 """Projectors of what acts along the line of centres, and of what acts across it."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, repr=False)
+class Whole:
+    """A coefficient that a law takes as it is, whatever its shape: no number, no table of species.
+
+    Attributes:
+        value: an array, or a pytree of arrays (leaves); of a batch with one more axis in front.
+        is_batch: whether it is one (static).
+    """
+
+    value: Any
+    is_batch: bool = dataclasses.field(default=False, metadata={"static": True})
+
+    def __repr__(self):
+        shapes = jax.tree.map(lambda leaf: getattr(leaf, "shape", leaf), self.value)
+        return f"whole({shapes}{', batch=True' if self.is_batch else ''})"
+
+    @property
+    def members(self) -> list["Whole"]:
+        """Each member of a batch; itself, where it is none."""
+        if not self.is_batch:
+            return [self]
+        count = len(jax.tree.leaves(self.value)[0])
+        return [Whole(jax.tree.map(lambda leaf: leaf[k], self.value)) for k in range(count)]
+
+    @property
+    def kind(self) -> tuple:
+        """Its structure and the shapes of one member."""
+        leaves, structure = jax.tree.flatten(self.value)
+        return structure, tuple(jnp.shape(leaf)[int(self.is_batch) :] for leaf in leaves)
+
+
+def whole(value, *, batch: bool = False) -> Whole:
+    """A coefficient of any shape, for a law that takes arrays: values at knots, the weights of a
+    network.
+
+    Args:
+        value: an array of floats, or a pytree of them.
+        batch: whether its first axis is that of a batch, a member for each key of a run.
+
+    Raises TypeError for what is no array, ValueError for what is not finite.
+    """
+    return Whole(jax.tree.map(lambda leaf: number(leaf, "whole"), value), batch)
+
+
+def coefficient(value, name: str, old=None):
+    """A number, a table, or what is taken :func:`whole`, as arrays; in place of an ``old`` one
+    taken whole, that is understood."""
+    if isinstance(value, Whole):
+        return value
+    return whole(value, batch=old.is_batch) if isinstance(old, Whole) else number(value, name)
 
 
 @jax.tree_util.register_dataclass
@@ -50,7 +107,7 @@ class Term:
 
     Attributes:
         law: the pair function (static).
-        coefficients: name -> scalar or (species, species) table (leaves).
+        coefficients: name -> scalar, (species, species) table, or :class:`Whole` (leaves).
         cut: gap beyond which the law is zero, where that is a number of its own (leaf).
         reach: function of the coefficients and of what is given, where it is computed (static).
         origin: name under which its stress is kept, where that is not its kind (static).
@@ -67,10 +124,26 @@ class Term:
     def __repr__(self):
         return summary.of_term(self)
 
+    def _repr_html_(self):
+        rows = [(k, summary.written(c)) for k, c in self.coefficients.items()]
+        return summary.as_table(name_of(self.law), rows)
+
+    @property
+    def members(self) -> list["Term"]:
+        """The term with each member of what is taken whole and is a batch; itself, where none
+        is."""
+        most = max(
+            [len(c.members) for c in self.coefficients.values() if isinstance(c, Whole)] + [1]
+        )
+        pick = lambda c, k: c.members[k % len(c.members)] if isinstance(c, Whole) else c
+        each = [{name: pick(c, k) for name, c in self.coefficients.items()} for k in range(most)]
+        return [dataclasses.replace(self, coefficients=coefficients) for coefficients in each]
+
     def between(self, table_of=lambda c: c, **given):
         """The law as a function of the gap, and its reach; ``table_of`` looks tables up, ``given``
         is of ``GIVEN``."""
-        numbers = {name: table_of(c) for name, c in self.coefficients.items()} | given
+        value = lambda c: c.value if isinstance(c, Whole) else table_of(c)
+        numbers = {name: value(c) for name, c in self.coefficients.items()} | given
         call = lambda function: functools.partial(
             function, **{k: numbers[k] for k in _keywords(function) if k in numbers}
         )
@@ -102,12 +175,13 @@ def term(
             ``"central"``, along the line of centres; ``"transverse"``, across it, which turns beads
             that can rotate; ``"full"``, all of it. By default what the law declares with
             ``dpd.projected``, else ``"central"``.
-        **coefficients: a scalar or a symmetric (species, species) table each.
+        **coefficients: a scalar or a symmetric (species, species) table each; or
+            ``dpd.whole(array)``, which the law gets as it is.
 
     Raises:
-        TypeError: a coefficient the law does not know, declares something of, or lacks; a law that
-            branches with ``if`` on what is traced, or that does not return real numbers of the
-            shape of ``h``.
+        TypeError: a coefficient whose name is taken, or that the law does not know, declares
+            something of, or lacks; a law that branches with ``if`` on what is traced, or that does
+            not return real numbers of the shape of ``h``.
         ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an
             unknown projector; a number outside what the law declares with ``dpd.bounded``.
     """
@@ -126,17 +200,24 @@ def term(
     missing = [w for w, needed in wanted.items() if needed and w not in coefficients]
     if missing:
         raise TypeError(f"{name} lacks {', '.join(missing)}; give {missing[0]}=... to dpd.term")
+    taken = [k for k in wanted if k in OF_FLUIDS]
+    if taken:
+        raise TypeError(
+            f"{name} has a coefficient {taken[0]!r}, which fluid.set(...) takes for something "
+            "else: call it otherwise"
+        )
     unknown = names_declared(law) - set(_keywords(law)) - set(wanted) - set(GIVEN)
     if unknown:
         raise TypeError(
             f"{name} declares something of {', '.join(sorted(unknown))}, which it does not take; "
             f"it takes {', '.join(wanted)}"
         )
-    values = {k: number(v, k) for k, v in coefficients.items()}
+    values = {k: coefficient(v, k) for k, v in coefficients.items()}
     for k, v in values.items():
-        if v.ndim in (1, 3):
+        if not isinstance(v, Whole) and v.ndim in (1, 3):
             raise ValueError(
-                f"{k} has shape {v.shape}; give a number or a square (species, species) table"
+                f"{k} has shape {v.shape}; give a number or a square (species, species) table, or "
+                "dpd.whole(...) where the law takes an array"
             )
         check_table(k, v)
     if reach is None and declared is None and "r_c" not in values:
@@ -147,14 +228,12 @@ def term(
     cut = None if reach is None or callable(reach) else positive(reach, f"reach of {name}")
     if reach is None and declared is None:
         positive(values["r_c"], "r_c")
-    names = (*values, *GIVEN)
-    _check_value(
-        law, tuple(k for k in names if k in _keywords(law)), GAPS, "its energy or friction"
-    )
+    kinds = [(k, v.kind if isinstance(v, Whole) else NUMBER) for k, v in values.items()]
+    kinds += [(k, NUMBER) for k in GIVEN]
+    taken = lambda function: tuple((k, kind) for k, kind in kinds if k in _keywords(function))
+    _check_value(law, taken(law), GAPS, "its energy or friction")
     if declared is not None:
-        _check_value(
-            declared, tuple(k for k in names if k in _keywords(declared)), None, "its reach"
-        )
+        _check_value(declared, taken(declared), None, "its reach")
     projector = (
         getattr(law, "projector", CENTRAL) if projector is None else known_projector(projector)
     )
@@ -174,15 +253,14 @@ def several(terms) -> list[Term]:
 
 
 @functools.lru_cache(maxsize=256)
-def _check_value(function, names: tuple[str, ...], gaps, what: str):
-    """Raise TypeError unless a law, or a reach, gives floats of the right shape for traced
-    numbers."""
-    scalar = jax.ShapeDtypeStruct((), float)
+def _check_value(function, kinds: tuple[tuple, ...], gaps, what: str):
+    """Raise TypeError unless a law, or a reach, gives floats of the right shape for traced numbers
+    of these kinds, a name and :attr:`Whole.kind` each."""
+    traced = lambda shape: jax.ShapeDtypeStruct(shape, float)
+    numbers = {k: jax.tree.unflatten(tree, map(traced, shapes)) for k, (tree, shapes) in kinds}
     h = () if gaps is None else (jax.ShapeDtypeStruct(gaps, float),)
     try:
-        given = jax.eval_shape(
-            lambda h, numbers: function(*h, **numbers), h, dict.fromkeys(names, scalar)
-        )
+        given = jax.eval_shape(lambda h, numbers: function(*h, **numbers), h, numbers)
     except (TypeError, ValueError) as error:
         cures = [cure for said, cure in CURES.items() if said in f"{type(error).__name__}: {error}"]
         if not cures:
@@ -209,7 +287,7 @@ def _keywords(function) -> dict[str, bool]:
 
 def check_table(name, value, species: int | None = None):
     """Raise ValueError unless ``value`` is a number or a symmetric table, or a batch of either."""
-    if value.ndim in (0, 1):
+    if isinstance(value, Whole) or value.ndim in (0, 1):
         return
     if (
         value.ndim > 3
@@ -224,6 +302,18 @@ def check_table(name, value, species: int | None = None):
 
 def replace_coefficients(term: Term, changes: dict) -> Term:
     """A copy with the coefficients named in ``changes``."""
-    mine = {k: number(v, k) for k, v in changes.items() if k in term.coefficients}
+    old = term.coefficients
+    mine = {k: coefficient(v, k, old[k]) for k, v in changes.items() if k in old}
+    for k, v in mine.items():
+        _check_kind(term, k, v)
     check_bounds(term.law, mine)
     return dataclasses.replace(term, coefficients={**term.coefficients, **mine})
+
+
+def _check_kind(term: Term, name: str, new):
+    """Raise TypeError for what is taken whole in place of a number, or of another structure."""
+    old = term.coefficients[name]
+    structure = lambda c: c.kind[0] if isinstance(c, Whole) else NUMBER[0]
+    both = isinstance(old, Whole), isinstance(new, Whole)
+    if both[0] != both[1] or structure(old) != structure(new):
+        raise TypeError(f"{name} of {name_of(term.law)} is {old!r}, and {new!r} is none like it")

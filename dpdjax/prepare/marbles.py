@@ -13,7 +13,7 @@ from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.marbles import marble_fluid
-from dpdjax.model.summary import energies_in_kT, written
+from dpdjax.model.summary import as_table, energies_in_kT, written
 from dpdjax.prepare import packing
 from dpdjax.prepare.cores import closest
 from dpdjax.prepare.start import placed, plan_lists
@@ -65,6 +65,9 @@ class Marbles:
         )
 
     __repr__ = __str__
+
+    def _repr_html_(self):
+        return as_table("Marbles", [(line,) for line in str(self).split("\n")])
 
     def _frictions(self) -> str:
         """The frictions of the solvent with itself and of the surface."""

@@ -13,7 +13,7 @@ from dpdjax.engine.state import State
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
-from dpdjax.model.summary import energies_in_kT
+from dpdjax.model.summary import as_table, energies_in_kT
 from dpdjax.prepare import packing
 from dpdjax.prepare.start import placed, plan_lists
 
@@ -82,6 +82,9 @@ class Suspension:
         )
 
     __repr__ = __str__
+
+    def _repr_html_(self):
+        return as_table("Suspension", [(line,) for line in str(self).split("\n")])
 
     def _energies(self) -> list[str]:
         """The potentials between colloids, in kT."""
