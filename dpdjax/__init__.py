@@ -80,7 +80,7 @@ _HOMES = {
     "dpdjax.measure.spheres": ["Spheres", "spheres", "spheres_of"],
     "dpdjax.measure.distribution": ["pair_distribution", "partial_distribution"],
     "dpdjax.measure.contacts": ["contact_number"],
-    "dpdjax.measure.bonds": ["bonded_pairs", "bonds"],
+    "dpdjax.measure.contact_bonds": ["bonded_pairs", "contact_bonds"],
     "dpdjax.measure.clusters": ["clusters"],
     "dpdjax.measure.solvent": ["solvent_density"],
     "dpdjax.measure.scattering": ["structure_factor"],

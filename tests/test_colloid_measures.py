@@ -11,8 +11,8 @@ import dpdjax as dpd
 from dpdjax.engine import box as boxes
 from dpdjax.engine.flow import Flow
 from dpdjax.measure import distribution
-from dpdjax.measure.bonds import bonded_pairs, bonds
 from dpdjax.measure.clusters import clusters
+from dpdjax.measure.contact_bonds import bonded_pairs, contact_bonds
 from dpdjax.measure.contacts import contact_number
 from dpdjax.measure.distribution import pair_distribution, partial_distribution
 from dpdjax.measure.scattering import structure_factor
@@ -245,7 +245,7 @@ def test_whole_turns_of_the_box_are_no_tilt():
 def test_a_bond_in_and_out_of_the_band():
     """Gap 1: forms below 0.8, lives on in the band up to 1, breaks above, does not form in the
     band."""
-    tracked = bonds(one_frame(apart(0.9, 0.7, 0.9, 1.0, 0.95, 1.1, 0.9, 0.5)), gap=1.0)
+    tracked = contact_bonds(one_frame(apart(0.9, 0.7, 0.9, 1.0, 0.95, 1.1, 0.9, 0.5)), gap=1.0)
     assert tracked.number.tolist() == [[0, 1, 1, 1, 1, 0, 0, 1]]
     assert tracked.formed.tolist() == [[0, 1, 0, 0, 0, 0, 0, 1]]
     assert tracked.broken.tolist() == [[0, 0, 0, 0, 0, 1, 0, 0]]
@@ -254,7 +254,7 @@ def test_a_bond_in_and_out_of_the_band():
 
 def test_bonds_without_a_band_are_contacts():
     gas = Spheres(thrown(2, 10, 40), mixed_radii(40), SIDES, 0.2)
-    tracked, contacts = bonds(gas, gap=0.5, forms=1.0), contact_number(gas, gap=0.5)
+    tracked, contacts = contact_bonds(gas, gap=0.5, forms=1.0), contact_number(gas, gap=0.5)
     assert np.allclose(2 * tracked.number / 40, contacts.series)
     assert tracked.per_colloid.value == pytest.approx(contacts.mean.value)
     assert tracked.per_colloid.error == pytest.approx(contacts.mean.error)
@@ -276,7 +276,7 @@ def wandering(frames=24, batch=2, n=40, seed=3):
 def test_bonds_by_force():
     """Every pair of every frame followed on its own."""
     gas = wandering()
-    tracked, pairs = bonds(gas, gap=0.4, t_max=2.0), bonded_pairs(gas, gap=0.4)
+    tracked, pairs = contact_bonds(gas, gap=0.4, t_max=2.0), bonded_pairs(gas, gap=0.4)
     there = np.zeros((2, 24, 40, 40), bool)
     for b, t in np.ndindex(2, 24):
         h = gaps_by_force(gas.position[b, t], gas.radius[b], gas.strain[b, t])[0].min(axis=-1)
@@ -303,17 +303,17 @@ def test_survival_of_bonds_that_all_break():
     position[:, :, 2] = np.repeat(1.2 * np.arange(pairs), 2)
     held = np.arange(pairs)[None, :] >= np.arange(frames)[:, None]
     position[:, 1::2, 0] += np.where(held, 1.01, 1.5)
-    tracked = bonds(Spheres(position, 0.5, [6.0, 6.0, 12.0]), gap=0.1, t_max=10.0)
+    tracked = contact_bonds(Spheres(position, 0.5, [6.0, 6.0, 12.0]), gap=0.1, t_max=10.0)
     assert np.allclose(tracked.survival, 1 - np.arange(frames) / 10)
     assert tracked.broken.tolist() == [[0] + 10 * [1]]
     assert np.all(np.isnan(tracked.error))
 
 
 def test_bonds_of_nothing():
-    tracked = bonds(one_frame(apart(2.0, 2.0, 2.0)), gap=0.5)
+    tracked = contact_bonds(one_frame(apart(2.0, 2.0, 2.0)), gap=0.5)
     assert tracked.number.tolist() == [[0, 0, 0]] and np.all(np.isnan(tracked.survival))
     assert bonded_pairs(one_frame(apart(2.0)), gap=0.5)[0][0].shape == (0, 2)
-    assert bonds(one_frame(apart(0.1)), gap=0.5).survival.tolist() == [1.0]
+    assert contact_bonds(one_frame(apart(0.1)), gap=0.5).survival.tolist() == [1.0]
 
 
 # Clusters.
@@ -479,7 +479,7 @@ def test_reading_a_sheared_batch():
 
 def test_a_run_is_measured_like_its_spheres():
     run = two_species(frames=4)
-    for measure in (contact_number, bonds, clusters):
+    for measure in (contact_number, contact_bonds, clusters):
         a, b = measure(run, gap=0.5), measure(spheres(run), gap=0.5)
         assert all(
             np.array_equal(x, y, equal_nan=True)
@@ -631,10 +631,10 @@ def test_wrong_spheres(changes, message):
         (clusters, {"gap": 2.1}, "gap is 2.1"),
         (structure_factor, {"q_max": 0.5}, "q_max is 0.5.*smallest wave vector of the box, 0.785"),
         (structure_factor, {"bins": 2.5}, "bins is 2.5"),
-        (bonds, {"gap": 0.5, "forms": 1.2}, "forms is 1.2 and breaks 1.0"),
-        (bonds, {"gap": 0.5, "forms": 0.0}, "0 < forms <= breaks"),
-        (bonds, {"gap": 1.5, "breaks": 1.5}, "gap is 2.25"),
-        (bonds, {"gap": 0.5, "t_max": 5.0}, "t_max is 5; .*within the run, 3"),
+        (contact_bonds, {"gap": 0.5, "forms": 1.2}, "forms is 1.2 and breaks 1.0"),
+        (contact_bonds, {"gap": 0.5, "forms": 0.0}, "0 < forms <= breaks"),
+        (contact_bonds, {"gap": 1.5, "breaks": 1.5}, "gap is 2.25"),
+        (contact_bonds, {"gap": 0.5, "t_max": 5.0}, "t_max is 5; .*within the run, 3"),
         (bonded_pairs, {"gap": 0.5, "forms": 1.2}, "forms is 1.2"),
     ],
 )
@@ -647,7 +647,7 @@ def test_more_wrong_arguments():
     with pytest.raises(ValueError, match="one sphere has no pairs"):
         pair_distribution(one_frame(thrown(1)))
     with pytest.raises(ValueError, match="evenly spaced"):
-        bonds(Spheres(thrown(3, 8), 0.5, SIDES, time=[0.0, 1.0, 3.0]), gap=0.5)
+        contact_bonds(Spheres(thrown(3, 8), 0.5, SIDES, time=[0.0, 1.0, 3.0]), gap=0.5)
     with pytest.raises(ValueError, match="name is 'size'; it is largest"):
         clusters(one_frame(thrown(4)), gap=0.5).average("size")
 
@@ -664,7 +664,7 @@ def test_results_draw_themselves():
         pair_distribution(gas, bins=5),
         contact_number(gas, gap=0.5),
         structure_factor(gas, q_max=3.0, bins=5),
-        bonds(gas, gap=0.5),
+        contact_bonds(gas, gap=0.5),
         clusters(gas, gap=0.5),
     ]
     labels = ["g(h)", "P(z)", "S(q)", "share of bonds that survive", "largest cluster"]

@@ -140,7 +140,9 @@ CASES = {
     "structure_factor": Case(structure(dpd.structure_factor, q_max=3.0, bins=10), 1.0),
     "contact_number": Case(lambda run: dpd.contact_number(run, gap=0.5).mean, CONTACTS),
     "clusters": Case(lambda run: dpd.clusters(run, gap=0.01).average("mean_size"), CLUSTER),
-    "bonds": Case(lambda run: dpd.bonds(run, gap=0.5, forms=1.0, t_max=0.2).per_colloid, CONTACTS),
+    "contact_bonds": Case(
+        lambda run: dpd.contact_bonds(run, gap=0.5, forms=1.0, t_max=0.2).per_colloid, CONTACTS
+    ),
     "bonded_pairs": Case(bonded, CONTACTS),
     "angular_velocity_autocorrelation": Case(
         lambda run: curve_at(dpd.angular_velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),

@@ -48,7 +48,7 @@ class Bonds:
         )
 
 
-def bonds(
+def contact_bonds(
     what,
     *,
     gap: float | None = None,
@@ -91,10 +91,10 @@ def bonds(
 def bonded_pairs(
     what, *, gap: float | None = None, forms: float = 0.8, breaks: float = 1.0
 ) -> list[list[np.ndarray]]:
-    """The bonds of :func:`bonds` as pairs of indices ``i < j``, (bonds, 2), by member and frame:
-    ``pairs[member][frame]``.
+    """The bonds of :func:`contact_bonds` as pairs of indices ``i < j``, (bonds, 2), by member and
+    frame: ``pairs[member][frame]``.
 
-    Arguments and errors as in :func:`bonds`.
+    Arguments and errors as in :func:`contact_bonds`.
     """
     what, keys = _followed(what, gap, forms, breaks)
     return [[np.stack(np.divmod(bonded, what.n), axis=1) for bonded in member] for member in keys]
