@@ -108,7 +108,11 @@ def test_runs_sets_and_scans(made, state, key):
     scan = dpd.run(fluid(both, weights(key), batch=True), state, keys, 0.001, plan, progress=False)
     assert scan.fluid.is_batch and list(scan.system.differing()) == ["value"]
     np.testing.assert_allclose(scan.final.velocity[1], alone.final.velocity, atol=1e-8)
-    np.testing.assert_array_equal(scan[1].fluid.value("knots"), 2 * SOFT)
+    chosen = scan[1].fluid
+    np.testing.assert_array_equal(chosen.value("knots"), 2 * SOFT)
+    assert not chosen.is_batch and made.set(knots=both).is_batch
+    again = dpd.run(chosen, state, keys[1], 0.001, plan, progress=False)
+    np.testing.assert_array_equal(again.final.velocity, alone.final.velocity)
     assert "whole((9,))" in repr(made.interactions[0].conservative[0])
 
 

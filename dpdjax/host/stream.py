@@ -72,7 +72,7 @@ def stream(
     Returns an iterator of :class:`Piece`. Raises as :func:`dpdjax.run` does: what cannot work at
     the call, RunError without a trajectory on the way.
     """
-    job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe, stacklevel=3)
+    job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe, stacklevel=2)
     return job.pieces(piece)
 
 

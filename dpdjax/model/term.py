@@ -54,29 +54,35 @@ class Whole:
 
     Attributes:
         value: an array, or a pytree of arrays (leaves); of a batch with one more axis in front.
-        is_batch: whether it is one (static).
+        ranks: of each array, the axes that one member has (static).
     """
 
     value: Any
-    is_batch: bool = dataclasses.field(default=False, metadata={"static": True})
+    ranks: tuple[int, ...] = dataclasses.field(metadata={"static": True})
 
     def __repr__(self):
         shapes = jax.tree.map(lambda leaf: getattr(leaf, "shape", leaf), self.value)
         return f"whole({shapes}{', batch=True' if self.is_batch else ''})"
 
     @property
+    def is_batch(self) -> bool:
+        """Whether the arrays have an axis more than one member."""
+        return any(jnp.ndim(x) > rank for x, rank in zip(jax.tree.leaves(self.value), self.ranks))
+
+    @property
     def members(self) -> list["Whole"]:
         """Each member of a batch; itself, where it is none."""
         if not self.is_batch:
             return [self]
-        count = len(jax.tree.leaves(self.value)[0])
-        return [Whole(jax.tree.map(lambda leaf: leaf[k], self.value)) for k in range(count)]
+        of_member = lambda k: jax.tree.map(lambda leaf: leaf[k], self)
+        return [of_member(k) for k in range(len(jax.tree.leaves(self.value)[0]))]
 
     @property
     def kind(self) -> tuple:
         """Its structure and the shapes of one member."""
         leaves, structure = jax.tree.flatten(self.value)
-        return structure, tuple(jnp.shape(leaf)[int(self.is_batch) :] for leaf in leaves)
+        shapes = [jnp.shape(x)[jnp.ndim(x) - rank :] for x, rank in zip(leaves, self.ranks)]
+        return structure, tuple(shapes)
 
 
 def whole(value, *, batch: bool = False) -> Whole:
@@ -87,17 +93,24 @@ def whole(value, *, batch: bool = False) -> Whole:
         value: an array of floats, or a pytree of them.
         batch: whether its first axis is that of a batch, a member for each key of a run.
 
-    Raises TypeError for what is no array, ValueError for what is not finite.
+    Raises TypeError for what is no array, ValueError for what is not finite, or is a batch without
+    an axis for it.
     """
-    return Whole(jax.tree.map(lambda leaf: number(leaf, "whole"), value), batch)
+    arrays = jax.tree.map(lambda leaf: number(leaf, "whole"), value)
+    ranks = tuple(leaf.ndim - int(batch) for leaf in jax.tree.leaves(arrays))
+    if min(ranks, default=0) < 0:
+        raise ValueError("a batch of numbers has an axis for its members; one of these has none")
+    return Whole(arrays, ranks)
 
 
 def coefficient(value, name: str, old=None):
     """A number, a table, or what is taken :func:`whole`, as arrays; in place of an ``old`` one
-    taken whole, that is understood."""
-    if isinstance(value, Whole):
-        return value
-    return whole(value, batch=old.is_batch) if isinstance(old, Whole) else number(value, name)
+    taken whole bare arrays will do, of one member or of a batch."""
+    if isinstance(value, Whole) or not isinstance(old, Whole):
+        return value if isinstance(value, Whole) else number(value, name)
+    new = whole(value)
+    more = {mine - rank for mine, rank in zip(new.ranks, old.ranks)}
+    return Whole(new.value, old.ranks) if more <= {0} or more == {1} else new
 
 
 @jax.tree_util.register_dataclass
@@ -313,7 +326,6 @@ def replace_coefficients(term: Term, changes: dict) -> Term:
 def _check_kind(term: Term, name: str, new):
     """Raise TypeError for what is taken whole in place of a number, or of another structure."""
     old = term.coefficients[name]
-    structure = lambda c: c.kind[0] if isinstance(c, Whole) else NUMBER[0]
-    both = isinstance(old, Whole), isinstance(new, Whole)
-    if both[0] != both[1] or structure(old) != structure(new):
+    build = lambda c: (c.kind[0], c.ranks) if isinstance(c, Whole) else None
+    if (build(old) is None) != (build(new) is None) or build(old) != build(new):
         raise TypeError(f"{name} of {name_of(term.law)} is {old!r}, and {new!r} is none like it")
