@@ -20,6 +20,7 @@ from dpdjax.calibration.calibrate import (
     rough_viscosity,
 )
 from dpdjax.calibration.goal import pressure_goal, suggest_rate, viscosity_goal_at
+from dpdjax.engine.flow import Flow
 
 UPPER, LOWER = 1, -1
 
@@ -250,7 +251,7 @@ def noisy_boxes(monkeypatch, seed, memory=0.5):
     """Boxes whose values are noise about 1, each remembering a share of the one before."""
     rng, last = np.random.default_rng(seed), np.zeros(4)
 
-    def replayed(fluid, state, keys, dt, plan, flow, observe, compiling):
+    def replayed(system, state, keys, plan, how, compiling):
         nonlocal last
         values = np.empty((4, plan.frames))
         for k in range(plan.frames):
@@ -261,7 +262,8 @@ def noisy_boxes(monkeypatch, seed, memory=0.5):
     monkeypatch.setattr(experiment, "replayed", replayed)
     monkeypatch.setattr(experiment, "check_dt", lambda system, state: None)
     monkeypatch.setattr(experiment, "thermal_time", lambda fluid: 1.0)
-    goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=SimpleNamespace(rate=0.3))
+    flow = Flow.of(dpd.shear(0.3))
+    goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=flow)
     state = Boxes(np.zeros((4, 10, 3)), np.zeros(4, np.uint32))
     return experiment.Bench(None, goal, 3.0, state, None, dt=0.01)
 

@@ -9,7 +9,7 @@ from dpdjax.checks import prng_key
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.observables import rotations, standard
-from dpdjax.engine.refusals import check_kinds
+from dpdjax.engine.refusals import check_kinds, check_plan, check_run
 from dpdjax.engine.state import inertias, masses, radii
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
@@ -187,10 +187,12 @@ def run_to_gsd(
         )
     with contextlib.ExitStack() as stack:
         line = stack.enter_context(Progress(plan, progress))
-        job = Job.of(system, state, key, plan, [standard, gsd_record], stacklevel=2)
+        check_plan(plan)
+        check_run(system, state, key)
         mode, write = _mode(path, overwrite, append), None
         if mode == "r+":
             _check_follows(path, fluid, state)
+        job = Job.of(system, state, key, plan, [standard, gsd_record], stacklevel=2)
 
         def written(part: Piece) -> dict:
             nonlocal write
