@@ -331,10 +331,10 @@ def extreme(fluid: Fluid, least: str | None = None, member: int = 0) -> Fluid:
     largest = lambda leaf: np.max(np.asarray(leaf, float))
 
     def of_term(t):
+        t = t.members[member % len(t.members)]
         of = lambda k, c: np.min(np.asarray(c, float)) if k == least else largest(c)
         coefficients = {
-            k: c.members[member % len(c.members)] if isinstance(c, Whole) else of(k, c)
-            for k, c in t.coefficients.items()
+            k: c if isinstance(c, Whole) else of(k, c) for k, c in t.coefficients.items()
         }
         return dataclasses.replace(
             t, coefficients=coefficients, cut=None if t.cut is None else largest(t.cut)
@@ -356,9 +356,8 @@ def _cases(fluid):
     its smallest."""
     terms = [t for i in fluid.interactions for t in i.terms]
     coefficients = [(name, c) for t in terms for name, c in t.coefficients.items()]
-    wholes = [len(c.members) for _, c in coefficients if isinstance(c, Whole)]
     scanned = {name for name, c in coefficients if not isinstance(c, Whole) and np.size(c) > 1}
-    for member in range(max(wholes, default=1)):
+    for member in range(max(len(t.members) for t in terms)):
         yield extreme(fluid, member=member)
         yield from (extreme(fluid, name, member) for name in sorted(scanned))
 

@@ -1,4 +1,4 @@
-"""What a deformation or a driver answers, checked on one state before a run."""
+"""What the parts of a run are, and what a deformation or a driver answers, checked before it."""
 
 from collections.abc import Callable
 
@@ -10,12 +10,16 @@ from dpdjax.checks import is_concrete
 from dpdjax.engine.batching import chosen
 
 
-def not_registered(part) -> str:
-    """What to say of an object whose numbers JAX does not know."""
-    return (
-        f"{type(part).__name__} is not registered: put @jax.tree_util.register_dataclass and "
-        "@dataclasses.dataclass(frozen=True) on it, so that its numbers are known"
-    )
+def check_part(part, kinds: tuple[type, ...], name: str, wanted: str) -> None:
+    """Raise TypeError for a part of a run that is of none of these kinds, or whose numbers JAX does
+    not know; ``wanted``: what to give under that name."""
+    if not isinstance(part, kinds):
+        raise TypeError(f"{name} is {part!r}; give {wanted}, or None")
+    if any(leaf is part for leaf in jax.tree.leaves(part)):
+        raise TypeError(
+            f"{type(part).__name__} is not registered: put @jax.tree_util.register_dataclass and "
+            "@dataclasses.dataclass(frozen=True) on it, so that its numbers are known"
+        )
 
 
 def check_answers(part, state, answers: dict[str, tuple[Callable, tuple]]) -> None:

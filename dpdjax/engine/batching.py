@@ -12,6 +12,11 @@ def on_cpu() -> bool:
     return jax.default_backend() == "cpu"
 
 
+def each_fluid(function, fluid, many: bool):
+    """``function(fluid, state)`` of one state; for ``many`` of each member of a batch."""
+    return jax.vmap(function, (fluid.batch_axes(), 0)) if many else function
+
+
 def apart(function, inputs, number):
     """``function(*inputs)`` as a part of the program across whose edges XLA fuses nothing.
 

@@ -4,11 +4,14 @@ import dataclasses
 
 import jax
 
-from dpdjax.engine.answers import not_registered
+from dpdjax.engine.answers import check_part
 from dpdjax.engine.deformation import Deformation, Still
 from dpdjax.engine.drivers import Driver
 
-KNOWN = "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...)"
+KNOWN = (
+    "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...), a list of "
+    "them, an object of a class derived from dpd.Deformation or dpd.Driver"
+)
 
 
 @jax.tree_util.register_dataclass
@@ -34,7 +37,7 @@ class Flow:
             return flow
         parts = () if flow is None else flow if isinstance(flow, (list, tuple)) else (flow,)
         for part in parts:
-            _check_kind(part)
+            check_part(part, (Deformation, Driver), "flow", KNOWN)
         deformations = [part for part in parts if isinstance(part, Deformation)]
         if len(deformations) > 1:
             kinds = " and ".join(type(part).__name__ for part in deformations)
@@ -89,16 +92,6 @@ class Flow:
         """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
         parts = self.deformation.batch_axes(), tuple(d.batch_axes() for d in self.drivers)
         return Flow(*parts) if jax.tree.leaves(parts) else None
-
-
-def _check_kind(part):
-    if not isinstance(part, (Deformation, Driver)):
-        raise TypeError(
-            f"flow is {part!r}; give {KNOWN}, a list of them, an object of a class derived from "
-            "dpd.Deformation or dpd.Driver, or None"
-        )
-    if any(leaf is part for leaf in jax.tree.leaves(part)):
-        raise TypeError(not_registered(part))
 
 
 def _sum(parts):

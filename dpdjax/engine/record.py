@@ -6,6 +6,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.compensated import plus
 from dpdjax.engine.observables import standard
 
@@ -68,7 +69,7 @@ class Recorder:
 
 def averaged(how: list[Recorder], fluid, state) -> tuple[str, ...]:
     """Names of what is recorded as a mean over its frame's interval, of one state or a batch."""
-    of = lambda now: jax.vmap(now, (fluid.batch_axes(), 0)) if state.position.ndim == 3 else now
+    of = lambda now: each_fluid(now, fluid, state.position.ndim == 3)
     return tuple(
         name for r in how if r.how == "mean" for name in jax.eval_shape(of(r.now), fluid, state)
     )

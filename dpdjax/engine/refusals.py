@@ -7,7 +7,7 @@ import numpy as np
 from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import advice, soundness
 from dpdjax.engine import status as bits
-from dpdjax.engine.answers import not_registered
+from dpdjax.engine.answers import check_part
 from dpdjax.engine.deformation import check_tilt
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State, radii
@@ -54,7 +54,7 @@ def check_run(system: System, state, key):
 
 def check_kinds(system: System, state):
     """Raise TypeError, with what to give, for a system or a state of anything else."""
-    fluid, integrator = system.fluid, system.integrator
+    fluid = system.fluid
     if isinstance(fluid, State) and isinstance(state, Fluid):
         raise TypeError(
             "fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) "
@@ -67,13 +67,8 @@ def check_kinds(system: System, state):
         part = next((name for name in ("final", "state") if hasattr(state, name)), None)
         cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
         raise TypeError(f"state is a {type(state).__name__}; {cure}")
-    if not isinstance(integrator, Integrator):
-        raise TypeError(
-            f"integrator is {integrator!r}; give dpd.VelocityVerlet(), an object of a class "
-            "derived from dpd.Integrator, or None"
-        )
-    if any(leaf is integrator for leaf in jax.tree.leaves(integrator)):
-        raise TypeError(not_registered(integrator))
+    wanted = "dpd.VelocityVerlet(), an object of a class derived from dpd.Integrator"
+    check_part(system.integrator, (Integrator,), "integrator", wanted)
 
 
 def check_finite(state):

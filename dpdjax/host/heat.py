@@ -2,12 +2,11 @@
 
 import warnings
 
-import jax
 import numpy as np
-from scipy.stats import kendalltau
 
+from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.observables import temperature
-from dpdjax.measure.needs import HOT, RARELY, is_off
+from dpdjax.measure.needs import HOT, is_off, trend
 
 FLUCTUATIONS = 5.0
 """Standard deviations of the temperature of few beads that are no excess."""
@@ -24,11 +23,8 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
     fluid, state = trajectory.fluid, trajectory.final
     if not any(i.drag for i in fluid.interactions):
         return
-    observe = (
-        jax.vmap(temperature, (fluid.batch_axes(), 0))
-        if np.ndim(state.position) == 3
-        else temperature
-    )
+    many = np.ndim(state.position) == 3
+    observe = each_fluid(temperature, fluid, many)
     last = np.atleast_1d(np.asarray(observe(fluid, state), float))
     kT = np.broadcast_to(np.asarray(fluid.kT, float), last.shape)
     recorded = np.atleast_2d(np.asarray(trajectory.frames.get("temperature", np.nan), float))
@@ -38,7 +34,7 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
     excess = [abs(found[0]) if found else 0.0 for found in told]
     if any(told):
         worst = int(np.argmax(excess))
-        member = f"member {worst}: " if np.ndim(state.position) == 3 else ""
+        member = f"member {worst}: " if many else ""
         warnings.warn(member + told[worst][1], stacklevel=stacklevel)
 
 
@@ -50,8 +46,8 @@ def _told(last: float, kT: float, recorded, allowed: float, flow):
             f"the run ends at a kinetic temperature of {last:.3g}, {last / kT:.3g} times its kT "
             f"= {kT:.3g}"
         )
-        return last / kT - 1, f"{ends}: {_cause(flow, _drifts(recorded))}"
-    steady = None if len(later) < FEW or _drifts(later) else is_off(later, kT)
+        return last / kT - 1, f"{ends}: {_cause(flow, trend(recorded))}"
+    steady = None if len(later) < FEW or trend(later) else is_off(later, kT)
     if steady is None:
         return None
     stays = (
@@ -59,15 +55,6 @@ def _told(last: float, kT: float, recorded, allowed: float, flow):
         f"kT is {kT:.4g}"
     )
     return steady / kT - 1, f"{stays}: {_cause(flow, 0)}"
-
-
-def _drifts(series) -> int:
-    """-1 for a series that falls, 1 for one that rises, 0 for one that does neither or is too
-    short to tell."""
-    if len(series) < 4 or not np.all(np.isfinite(series)) or np.ptp(series) == 0:
-        return 0
-    found = kendalltau(np.arange(len(series)), series)
-    return int(np.sign(found.statistic)) if found.pvalue < RARELY else 0
 
 
 def _cause(flow, drifts: int) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from dpdjax.checks import prng_key
 from dpdjax.engine import status as bits
 from dpdjax.engine.advice import cautions
+from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import averaged, recorders
@@ -185,7 +186,7 @@ _list_trouble = jax.jit(list_trouble)
 
 def _refuse(fluid, state, key):
     """Raise for a list that cannot serve the fluid, before anything runs."""
-    check = jax.vmap(list_trouble, (fluid.batch_axes(), 0)) if key.ndim else _list_trouble
+    check = each_fluid(list_trouble, fluid, True) if key.ndim else _list_trouble
     trouble = bits.describe(check(fluid, state))
     if trouble:
         raise ValueError(trouble)

@@ -9,11 +9,10 @@ import numpy as np
 
 from dpdjax.engine.drivers import Drive
 from dpdjax.measure import needs
-from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
-from dpdjax.measure.replicas import refuse_scan, shared
+from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
+from dpdjax.measure.replicas import bead_masses, refuse_scan, shared, species_of
 from dpdjax.measure.rotation import check_turned
 from dpdjax.measure.statistics import Estimate, block_average
-from dpdjax.measure.transport import bead_masses
 
 SUSPECT = 0.5
 """Share of the least error that an error bar, itself uncertain, stays above."""

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from dpdjax.checks import is_concrete
+from dpdjax.measure.replicas import bead_masses, species_of
 from dpdjax.measure.statistics import block_average
 
 RARELY = 1e-3
@@ -65,7 +66,7 @@ def warn_of_heat(trajectory, frames: dict):
     if "temperature" in frames:
         series = frames["temperature"]
     elif "velocity" in frames and "velocity" not in getattr(trajectory, "means", ()):
-        series = _temperature_of(trajectory, np.asarray(frames["velocity"], float))
+        series = _temperature_of(trajectory, np.asarray(frames["velocity"]))
     else:
         return
     kT = float(np.mean(np.asarray(trajectory.fluid.kT, float)))
@@ -87,11 +88,8 @@ def is_off(temperatures, kT: float):
         return None
     found = block_average(series)
     share = abs(found.value / kT - 1.0)
-    return (
-        found.value
-        if share > WARM or (share > OFF and found.deviation(kT) > SURELY and found.blocks >= FEWEST)
-        else None
-    )
+    surely = found.deviation(kT) > SURELY and found.blocks >= FEWEST
+    return found.value if share > WARM or (share > OFF and surely) else None
 
 
 def _temperature_of(trajectory, velocity):
@@ -100,14 +98,12 @@ def _temperature_of(trajectory, velocity):
 
     Three momenta are fixed.
     """
-    species = np.asarray(trajectory.final.species)
-    species = species.reshape(-1, species.shape[-1])[0]
-    if len(species) != velocity.shape[-2] or len(species) < 2:
+    n = len(species_of(trajectory))
+    if n != velocity.shape[-2] or n < 2:
         return np.nan
-    mass = np.asarray(trajectory.fluid.mass, float)
-    size = np.asarray(trajectory.final.size, float).reshape(-1, len(species))[0]
-    of_bead = mass.reshape(-1, mass.shape[-1])[0][species] * size**3
-    return np.einsum("n,...nc,...nc->...", of_bead, velocity, velocity) / (3 * len(species) - 3)
+    # In double precision piece by piece: a copy of all velocities might not fit.
+    mass, product = bead_masses(trajectory)[0], "n,...nc,...nc->..."
+    return np.einsum(product, mass, velocity, velocity, dtype=float) / (3 * n - 3)
 
 
 def is_sheared(trajectory) -> bool:
@@ -167,12 +163,27 @@ def warn_of_drift(series: dict):
     """Warns where any of these series, (frames,) or (replicas, frames) each, rises or falls
     throughout (Kendall's test)."""
     for name, values in series.items():
-        mean = np.atleast_2d(np.asarray(values, float)).mean(axis=0)
-        pieces = np.array([part.mean() for part in np.array_split(mean, min(PIECES, len(mean)))])
-        if np.ptp(pieces) > 0 and kendalltau(np.arange(len(pieces)), pieces).pvalue < RARELY:
+        pieces = pieces_in_time(values)
+        if trend(values):
             warnings.warn(
                 f"the run is not stationary: its {name} goes from {pieces[0]:.4g} to "
                 f"{pieces[-1]:.4g} over the frames used; leave out more at the start, skip=..., "
                 "or run longer",
                 stacklevel=3,
             )
+
+
+def pieces_in_time(values):
+    """Means over stretches of a series (frames,) or (replicas, frames), (pieces,)."""
+    mean = np.atleast_2d(np.asarray(values, float)).mean(axis=0)
+    return np.array([part.mean() for part in np.array_split(mean, min(PIECES, len(mean)))])
+
+
+def trend(values) -> int:
+    """-1 for a series (frames,) or (replicas, frames) that falls throughout, 1 for one that rises
+    (Kendall's test), 0 for one that does neither or does not tell."""
+    pieces = pieces_in_time(values)
+    if len(pieces) < 2 or not np.all(np.isfinite(pieces)) or np.ptp(pieces) == 0:
+        return 0
+    found = kendalltau(np.arange(len(pieces)), pieces)
+    return int(np.sign(found.statistic)) if found.pvalue < RARELY else 0

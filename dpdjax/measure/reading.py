@@ -5,7 +5,7 @@ import numpy as np
 
 from dpdjax.engine.batching import chosen
 from dpdjax.measure import needs
-from dpdjax.measure.replicas import refuse_scan, shared
+from dpdjax.measure.replicas import refuse_scan, shared, species_of
 
 COARSE = 0.3
 """Strain between two frames up to which what the flow carried a bead along is told from its places
@@ -167,12 +167,6 @@ def as_frames(values, name: str, components: int = 3) -> np.ndarray:
         )
     values = values[None] if values.ndim == 2 else values
     return values.reshape(-1, *values.shape[-3:])
-
-
-def species_of(trajectory) -> np.ndarray:
-    """The species of each bead (n,), the same in every member of a batch."""
-    species = np.asarray(trajectory.final.species)
-    return species.reshape(-1, species.shape[-1])[0]
 
 
 def chosen_beads(trajectory, species: int | None) -> np.ndarray:

@@ -24,3 +24,17 @@ def shared(numbers) -> float:
             f"the members of this batch differ, {values}; measure them one by one: run.members()"
         )
     return float(values[0])
+
+
+def species_of(trajectory) -> np.ndarray:
+    """The species of each bead (n,), the same in every member of a batch."""
+    species = np.asarray(trajectory.final.species)
+    return species.reshape(-1, species.shape[-1])[0]
+
+
+def bead_masses(trajectory):
+    """Mass of each bead in each member, (batch, n), or of all, (1, n)."""
+    mass = np.asarray(trajectory.fluid.mass, float)
+    mass = mass.reshape(-1, mass.shape[-1])[:, species_of(trajectory)]
+    size = np.asarray(trajectory.final.size, float).reshape(-1, mass.shape[1])
+    return mass * size**3

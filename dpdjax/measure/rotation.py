@@ -7,10 +7,10 @@ Recorded with ``observe=dpd.rotations``. Error bars come from pieces in time and
 import dataclasses
 import warnings
 
-import jax
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.rotation import axis_of
 from dpdjax.engine.state import inertias
 from dpdjax.measure import needs, transport
@@ -116,11 +116,7 @@ def rotational_diffusion(
 def _inertia(trajectory) -> float:
     """Mean moment of inertia of the beads that rotate."""
     final = trajectory.final
-    of_all = (
-        jax.vmap(inertias, (trajectory.fluid.batch_axes(), 0))
-        if np.ndim(final.species) == 2
-        else inertias
-    )
+    of_all = each_fluid(inertias, trajectory.fluid, np.ndim(final.species) == 2)
     return float(np.mean(of_all(trajectory.fluid, final)))
 
 

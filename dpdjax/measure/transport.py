@@ -14,8 +14,8 @@ import numpy as np
 from dpdjax.drawing import curve
 from dpdjax.measure import needs
 from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
-from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded, species_of
-from dpdjax.measure.replicas import shared
+from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
+from dpdjax.measure.replicas import bead_masses, shared, species_of
 from dpdjax.measure.statistics import Estimate, from_replicas
 from dpdjax.measure.structure import PIECES, pieces_of_member, standard_error
 
@@ -332,14 +332,6 @@ def _relative(trajectory, values, species, columns):
     of_members = np.broadcast_to(bead_masses(trajectory), (len(values), values.shape[2]))
     for member, mass in zip(values, of_members):
         yield _without_drift(member, mass)[:, beads][..., columns]
-
-
-def bead_masses(trajectory):
-    """Mass of each bead in each member, (batch, n), or of all, (1, n)."""
-    mass = np.asarray(trajectory.fluid.mass, float)
-    mass = mass.reshape(-1, mass.shape[-1])[:, species_of(trajectory)]
-    size = np.asarray(trajectory.final.size, float).reshape(-1, mass.shape[1])
-    return mass * size**3
 
 
 def _without_drift(values, mass):

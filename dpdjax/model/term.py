@@ -106,8 +106,10 @@ def whole(value, *, batch: bool = False) -> Whole:
 def coefficient(value, name: str, old=None):
     """A number, a table, or what is taken :func:`whole`, as arrays; in place of an ``old`` one
     taken whole bare arrays will do, of one member or of a batch."""
-    if isinstance(value, Whole) or not isinstance(old, Whole):
-        return value if isinstance(value, Whole) else number(value, name)
+    if isinstance(value, Whole):
+        return value
+    if not isinstance(old, Whole):
+        return number(value, name)
     new = whole(value)
     more = {mine - rank for mine, rank in zip(new.ranks, old.ranks)}
     return Whole(new.value, old.ranks) if more <= {0} or more == {1} else new
@@ -326,6 +328,6 @@ def replace_coefficients(term: Term, changes: dict) -> Term:
 def _check_kind(term: Term, name: str, new):
     """Raise TypeError for what is taken whole in place of a number, or of another structure."""
     old = term.coefficients[name]
-    build = lambda c: (c.kind[0], c.ranks) if isinstance(c, Whole) else None
-    if (build(old) is None) != (build(new) is None) or build(old) != build(new):
+    build = lambda c: (jax.tree.structure(c.value), c.ranks) if isinstance(c, Whole) else ()
+    if build(old) != build(new):
         raise TypeError(f"{name} of {name_of(term.law)} is {old!r}, and {new!r} is none like it")
