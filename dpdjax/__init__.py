@@ -40,7 +40,7 @@ _HOMES = {
     "dpdjax.model.colloids": ["colloid_fluid", "diffusion_time", "pure_solvent"],
     "dpdjax.model.marbles": ["marble_fluid"],
     "dpdjax.model.units": ["Units", "repulsion_from_compressibility", "water", "water_units"],
-    "dpdjax.engine.box": ["Box", "displacement"],
+    "dpdjax.pairs.box": ["Box", "displacement"],
     "dpdjax.engine.deformation": ["Deformation", "oscillatory_shear", "shear"],
     "dpdjax.engine.drivers": [
         "Driver",
@@ -49,7 +49,7 @@ _HOMES = {
         "drive",
         "sinusoidal_force",
     ],
-    "dpdjax.engine.advice": ["suggest_dt", "suggest_skin"],
+    "dpdjax.model.advice": ["suggest_dt", "suggest_skin"],
     "dpdjax.engine.state": ["State", "grow"],
     "dpdjax.prepare.start": ["initial_state"],
     "dpdjax.prepare.suspension": ["Suspension", "suspension"],

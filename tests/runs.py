@@ -13,10 +13,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 import dpdjax as dpd
-from dpdjax.engine.box import Box, wrap
 from dpdjax.engine.drivers import Drive
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.system import System
+from dpdjax.pairs.box import Box, wrap
 
 VISCOSITY, STORAGE, LOSS = 0.85, 0.4, 2.55
 DIFFUSION, ROTATION = 0.3, 0.05

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import advice
 from dpdjax.engine.refusals import check_dt
 from dpdjax.engine.system import System
+from dpdjax.host.cautions import cautions as cautions_of
+from dpdjax.model import advice, rates
 
 DENSITY = np.array([3.0, 0.05])
 """Solvent beads and colloids per volume."""
@@ -69,8 +70,8 @@ def test_solvent_is_damped_by_solvent_and_colloids():
     solvent = 3.0 * 4 * np.pi * 45.0 / 30
     weight = ((2 ** (1 / 3) - r) / (2 ** (1 / 3) - 1)) ** 2
     colloids = 0.05 * np.trapezoid(4 * np.pi * r**2 * 45.0 * weight, r)
-    assert advice.damping_rate(fluid, DENSITY) == pytest.approx((solvent + colloids) / 3, rel=1e-4)
-    assert advice.damping_rate(fluid, 3.0) == pytest.approx(solvent / 3, rel=1e-4)
+    assert rates.damping_rate(fluid, DENSITY) == pytest.approx((solvent + colloids) / 3, rel=1e-4)
+    assert rates.damping_rate(fluid, 3.0) == pytest.approx(solvent / 3, rel=1e-4)
     assert limits(gamma=45.0)[DRAG] == pytest.approx(1.5 / (solvent + colloids), rel=1e-4)
 
 
@@ -138,7 +139,7 @@ def test_each_list_has_a_skin_that_suits_its_beads():
 
 
 def cautions(fluid, side=30.0, dt=1e-3, every=100):
-    return advice.cautions(fluid, spread_evenly(fluid, side=side), dt, dpd.Plan(2, every))
+    return cautions_of(fluid, spread_evenly(fluid, side=side), dt, dpd.Plan(2, every))
 
 
 def test_no_caution_where_all_is_well_or_no_colloid_is(water):

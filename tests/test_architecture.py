@@ -1,5 +1,5 @@
-"""Architecture: numbers flow model -> engine -> prepare -> measure -> calibration, and imports
-point the same way."""
+"""Architecture: numbers flow model -> pairs -> engine -> prepare -> measure -> calibration, and
+imports point the same way."""
 
 import ast
 import importlib
@@ -12,14 +12,16 @@ import pytest
 import dpdjax
 
 ROOT = pathlib.Path(dpdjax.__file__).parent
-ROOMS = ["model", "engine", "prepare", "measure", "calibration"]
+ROOMS = ["model", "pairs", "engine", "prepare", "measure", "calibration"]
+HELPERS = ["checks", "drawing", "xla"]
 HOST = {"host", "cli"}
+PAIRS = "box noise cells geometry laws sums kernels neighbours forces".split()
 ENGINE = (
-    "compensated compiling status batching noise box rotation advice answers deformation drivers "
-    "flow cells neighbours state order forces observables integrator system soundness motion "
-    "record trajectory refusals simulate chunk"
+    "compensated compiling status batching rotation answers deformation drivers flow state "
+    "order forces observables integrator system soundness motion record trajectory refusals "
+    "simulate chunk"
 ).split()
-"""The files of the engine, each built on those before it."""
+"""The files of two rooms, each built on those before it."""
 
 
 def name_of(path):
@@ -50,26 +52,23 @@ def test_imports_point_one_way(path):
     for module in imports_of(path):
         room = room_of(module)
         assert room not in HOST, f"{module} belongs to the host side"
-        assert room in ROOMS[: own + 1] + ["checks", "drawing"], (
-            f"{module} is further down than {path.name}"
-        )
+        assert room in ROOMS[: own + 1] + HELPERS, f"{module} is further down than {path.name}"
 
 
-def test_the_engine_is_in_order():
-    files = {path.stem: path for path in (ROOT / "engine").glob("*.py") if path.stem != "__init__"}
-    assert sorted(files) == sorted(ENGINE), "ENGINE lists every file"
-    for place, name in enumerate(ENGINE):
+@pytest.mark.parametrize("room, order", [("pairs", PAIRS), ("engine", ENGINE)])
+def test_a_room_is_in_order(room, order):
+    files = {path.stem: path for path in (ROOT / room).glob("*.py") if path.stem != "__init__"}
+    assert sorted(files) == sorted(order), "the order lists every file"
+    for place, name in enumerate(order):
         own = {
-            module.split(".")[2]
-            for module in imports_of(files[name])
-            if room_of(module) == "engine"
+            module.split(".")[2] for module in imports_of(files[name]) if room_of(module) == room
         }
-        assert own <= set(ENGINE[:place]), f"{name} imports what comes after it"
+        assert own <= set(order[:place]), f"{name} imports what comes after it"
 
 
 def test_helpers_import_nothing_of_the_package():
-    for name in ("checks.py", "drawing.py"):
-        assert not list(imports_of(ROOT / name))
+    for name in HELPERS:
+        assert not list(imports_of(ROOT / f"{name}.py"))
 
 
 def in_fresh_python(code):

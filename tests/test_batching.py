@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import batching
-from dpdjax.engine.batching import all_at_once, each_member, one_by_one, where_needed
+from dpdjax import xla
 from dpdjax.engine.system import System
+from dpdjax.xla import all_at_once, each_member, one_by_one, where_needed
 
 NEEDED = jnp.array([[True, False, True], [False, False, True]])
 OLD = {"x": jnp.arange(6.0).reshape(2, 3), "k": jnp.arange(24).reshape(2, 3, 4)}
@@ -65,7 +65,7 @@ def test_work_is_done_only_where_needed():
 
 @pytest.mark.parametrize("cpu", [True, False], ids=["cpu", "accelerator"])
 def test_each_member_is_vmap(cpu, monkeypatch):
-    monkeypatch.setattr(batching, "on_cpu", lambda: cpu)
+    monkeypatch.setattr(xla, "on_cpu", lambda: cpu)
     function = lambda tree, shift, key: {
         "x": tree["x"] * tree["c"] + shift,
         "u": jax.random.uniform(key),

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine.forces import pair_force
-from dpdjax.engine.neighbours import plan_grid
 from dpdjax.engine.state import assemble
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.forces import pair_force
+from dpdjax.pairs.neighbours import plan_grid
 
 EQUAL = {"R_i": 1.0, "R_j": 1.0}
 BEAD = {"R_i": 0.0, "R_j": 1.5}

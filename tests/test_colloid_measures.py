@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
 from dpdjax.engine.flow import Flow
 from dpdjax.measure import distribution
 from dpdjax.measure.clusters import clusters
@@ -18,6 +17,7 @@ from dpdjax.measure.distribution import pair_distribution, partial_distribution
 from dpdjax.measure.scattering import structure_factor
 from dpdjax.measure.spheres import Spheres, spheres
 from dpdjax.measure.structure import radial_distribution
+from dpdjax.pairs import box as boxes
 
 SIDES = np.array([6.0, 7.0, 8.0])
 STRAINS = [0.0, 0.25, -0.4]

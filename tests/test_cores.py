@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
+from dpdjax.pairs import box as boxes
 from dpdjax.prepare.cores import START_ENERGY, closest, start_radii
 
 

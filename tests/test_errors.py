@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.advice import pair_frequency
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.system import System
+from dpdjax.model.rates import pair_frequency
 
 
 def repulsion(**coefficients):

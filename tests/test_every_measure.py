@@ -16,7 +16,7 @@ import runs
 from runs import DIFFUSION, LOSS, ROTATION, STORAGE, VISCOSITY
 
 import dpdjax as dpd
-from dpdjax.measure.structure import average
+from dpdjax.measure.blocks import average
 
 ERRORS = 4.5
 """How many of its errors an estimate may be off."""

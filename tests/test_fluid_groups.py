@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine.forces import pair_force
 from dpdjax.engine.observables import drag_pressure
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.forces import pair_force
 from dpdjax.prepare.start import placed, plan_lists
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.advice import deep_wells
+from dpdjax.host.cautions import deep_wells
 from dpdjax.model.colloids import solvent_viscosity
 
 

@@ -9,7 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import dpdjax as dpd
-from dpdjax.engine.box import Box
+from dpdjax.pairs.box import Box
 
 NUMBERS = {
     "a": lambda start: start["fluid"].interactions[0].conservative[0].coefficients["a"],

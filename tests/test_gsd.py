@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
 from dpdjax.engine.rotation import axis_of
 from dpdjax.engine.system import System
+from dpdjax.pairs import box as boxes
 from dpdjax.prepare.start import placed, plan_lists
 
 SIDES, DT = np.array([5.0, 4.5, 6.0]), 0.002

@@ -12,9 +12,9 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.flow import Flow
-from dpdjax.engine.state import masses
 from dpdjax.measure.rotation import angle_turned
 from dpdjax.measure.statistics import Estimate
+from dpdjax.model.beads import masses
 
 WATER = dict(kT=1.0, viscosity=1.23)
 

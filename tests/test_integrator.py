@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.forces import DRAG, EVERYTHING
-from dpdjax.engine.integrator import drifted, forces_on, masses, settled
+from dpdjax.engine.forces import EVERYTHING, forces_on
+from dpdjax.engine.integrator import drifted, settled
 from dpdjax.engine.system import System
+from dpdjax.model.beads import masses
+from dpdjax.pairs.laws import DRAG
 
 
 @jax.tree_util.register_dataclass

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import neighbours as lists
 
 DT, FLOW = 0.01, dpd.shear(1.0)
 

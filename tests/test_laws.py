@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine.forces import pair_force
-from dpdjax.engine.neighbours import plan_grid
 from dpdjax.engine.state import assemble
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.forces import pair_force
+from dpdjax.pairs.neighbours import plan_grid
 
 R = jnp.linspace(0.01, 0.99, 99)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import neighbours as lists
+from dpdjax.pairs import neighbours as lists
 
 
 def test_steps_are_those_of_a_run(water, fresh, key):

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import advice, forces, noise, order
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
-from dpdjax.engine.forces import pair_force
+from dpdjax.engine import order
 from dpdjax.engine.rotation import Rotation, axis_of, turn_by
-from dpdjax.engine.state import inertias, masses
-from dpdjax.model import declare
+from dpdjax.model import advice, declare
+from dpdjax.model.beads import inertias, masses
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import kernels, laws, noise, sums
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.forces import pair_force
 
 DT, R, GAMMA, GAMMA_CS, GAMMA_T = 5e-3, 1.5, 5.0, 8.0, 3.0
 COUPLINGS = ("central", "transverse", "full")
@@ -145,10 +146,10 @@ def vectors():
     i, j = map(jnp.asarray, np.triu_indices(600, 1))
 
     def at(step, i, j):
-        words = forces.Words.of(jax.random.key(3), step, 1, jnp.arange(600), True)
+        words = laws.Words.of(jax.random.key(3), step, 1, jnp.arange(600), True)
         return np.stack(noise.pair_vector(words.vector, words.bead[i], words.bead[j], np.float64))
 
-    words = forces.Words.of(jax.random.key(3), 5, 1, jnp.arange(600), True)
+    words = laws.Words.of(jax.random.key(3), 5, 1, jnp.arange(600), True)
     scalar = np.asarray(noise.pair_noise(words.step, words.bead[i], words.bead[j], np.float64))
     return at(5, i, j), at(6, i, j), at(5, j, i), scalar
 
@@ -209,7 +210,7 @@ def forces_by_hand(fluid, state, rate, key):
         mine = (np.add(i >= first, j >= first, dtype=int) == channel) & (h < 1)
         a, b, n = i[mine], j[mine], e[mine]
         along, across = frictions_by_hand(kind, h[mine])
-        words = forces.Words.of(key, state.step, channel, state.id, True)
+        words = laws.Words.of(key, state.step, channel, state.id, True)
         xi = np.asarray(noise.pair_noise(words.step, words.bead[a], words.bead[b], np.float64))
         vector = np.stack(
             noise.pair_vector(words.vector, words.bead[a], words.bead[b], np.float64), axis=1
@@ -245,8 +246,8 @@ def test_forces_and_torques_equal_the_sum_over_all_pairs(marbled, settled, key):
 def test_blocks_of_pairs_turn_as_the_whole_list(marbled, settled, key, monkeypatch):
     go = lambda: jax.jit(lambda s: pair_force(marbled.fluid, s, s.velocity, 1.0, key, DT))(settled)
     force, torque, _ = go()
-    monkeypatch.setattr(forces, "BLOCK", 100)
-    monkeypatch.setattr(forces, "BLOCKED_FROM", 101)
+    monkeypatch.setattr(kernels, "BLOCK", 100)
+    monkeypatch.setattr(kernels, "BLOCKED_FROM", 101)
     in_blocks, torque_in_blocks, _ = go()
     np.testing.assert_allclose(in_blocks, force, atol=1e-9)
     np.testing.assert_allclose(torque_in_blocks, torque, atol=1e-9)
@@ -487,9 +488,9 @@ def test_central_drag_turns_nothing(light, key):
 
 
 def test_the_printed_sign_of_the_torque_runs_away(light, key, monkeypatch):
-    right = forces.torque_add
+    right = sums.torque_add
     monkeypatch.setattr(
-        forces, "torque_add", lambda torque, *a: torque - (right(torque, *a) - torque)
+        sums, "torque_add", lambda torque, *a: torque - (right(torque, *a) - torque)
     )
     T = rotational_temperature_after(light("full"), key, 1000)
     assert not np.all(np.isfinite(T)) or T[-1] > 100

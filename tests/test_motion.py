@@ -9,9 +9,9 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import motion
-from dpdjax.engine import neighbours as lists
 from dpdjax.engine import status as bits
-from dpdjax.engine.forces import pair_force
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.forces import pair_force
 
 
 def relisted(state):

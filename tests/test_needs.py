@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 import dpdjax as dpd
-from dpdjax.engine.box import wrap
 from dpdjax.engine.system import System
 from dpdjax.measure.needs import warn_of_drift
+from dpdjax.pairs.box import wrap
 
 
 def memory(rng, shape, kept=0.8):

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dpdjax.engine import noise
-from dpdjax.engine.noise import step_words
+from dpdjax.pairs import noise
+from dpdjax.pairs.noise import step_words
 
 BEADS = 1500
 SIGMAS = 4.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import cells as by_cell
 from dpdjax.engine import order
+from dpdjax.pairs import cells as by_cell
 
 FLOW, PLAN = dpd.shear(1.0), dpd.Plan(3, 5)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dpdjax.engine import box as boxes
+from dpdjax.pairs import box as boxes
 from dpdjax.prepare import packing
 
 CUBE, SLAB = (1.0, 1.0, 1.0), (1.0, 2.0, 0.8)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine import cells, forces
-from dpdjax.engine import neighbours as lists
-from dpdjax.engine.batching import on_cpu
-from dpdjax.engine.forces import pair_force
 from dpdjax.engine.record import recorders
 from dpdjax.engine.simulate import advance
 from dpdjax.engine.system import System
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import cells, kernels
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.forces import pair_force
+from dpdjax.xla import on_cpu
 
 BOXES = [
     ((4.2, 4.2, 4.2), 222),
@@ -239,8 +239,8 @@ def test_blocks_of_pairs_add_up_to_the_whole_list(block, monkeypatch, water, she
     whole = lambda state: pair_force(water, state, state.velocity, 1.0, key, 0.01, tally=True)
     blocked = lambda state: pair_force(water, state, state.velocity, 1.0, key, 0.01, tally=True)
     force, _, tally = jax.jit(whole)(sheared_water)
-    monkeypatch.setattr(forces, "BLOCK", block)
-    monkeypatch.setattr(forces, "BLOCKED_FROM", 0)
+    monkeypatch.setattr(kernels, "BLOCK", block)
+    monkeypatch.setattr(kernels, "BLOCKED_FROM", 0)
     assert block < sheared_water.neighbours[0].grid.capacity
     in_blocks, _, tally_in_blocks = jax.jit(blocked)(sheared_water)
     np.testing.assert_allclose(in_blocks, force, atol=1e-11)

@@ -10,8 +10,8 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import chunk
-from dpdjax.engine import neighbours as lists
 from dpdjax.host import io
+from dpdjax.pairs import neighbours as lists
 
 host = sys.modules[dpd.stream.__module__]
 chunk_frames = host.chunk_frames

@@ -10,8 +10,8 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import status as bits
-from dpdjax.engine.forces import safe_sqrt
 from dpdjax.engine.soundness import check_laws
+from dpdjax.pairs.laws import safe_sqrt
 
 
 def rub(h, *, zeta0, r_c):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.box import Box
 from dpdjax.engine.flow import Flow
 from dpdjax.measure import structure
 from dpdjax.measure.structure import expected_pairs, radial_distribution
+from dpdjax.pairs.box import Box
 
 SIDES = np.array([4.0, 5.0, 6.0])
 

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
-from dpdjax.engine import noise, order
-from dpdjax.engine.forces import pair_force
-from dpdjax.engine.state import masses, radii
+from dpdjax.engine import order
 from dpdjax.engine.system import System
+from dpdjax.model.beads import masses, radii
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs import noise
+from dpdjax.pairs.forces import pair_force
 
 DT = 1e-3
 NUMBERS = dict(kT=0.1, gamma=4.5, eta_0=0.3, D0=1.2, kappa=30.0)

@@ -13,7 +13,7 @@ from dpdjax.calibration import experiment
 from dpdjax.calibration.calibrate import calibrate, drag_guess, measure_viscosity, rough_viscosity
 from dpdjax.calibration.goal import suggest_rate
 from dpdjax.checks import positive
-from dpdjax.engine.advice import drag_viscosity, thermal_time
+from dpdjax.model.rates import drag_viscosity, thermal_time
 
 GAMMA, A, DENSITY = 12.0, 25.0, 3.0
 

@@ -22,10 +22,11 @@ from dpdjax.calibration.goal import (
 from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
 from dpdjax.calibration.picture import draw_calibration
 from dpdjax.checks import number, positive, prng_key
-from dpdjax.engine.advice import drag_viscosity, thermal_time
 from dpdjax.engine.compiling import Clock
 from dpdjax.measure.statistics import Estimate
+from dpdjax.model.rates import drag_viscosity, thermal_time
 from dpdjax.model.summary import as_table
+from dpdjax.pairs.noise import Domain
 
 MAX_POINTS = 10
 NEAR = 0.1
@@ -225,7 +226,7 @@ def calibrate(
     value = math.exp(proposal.x)
     error = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
     fluid = fluid.set(energies="keep", **{parameter: value})
-    bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
+    bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, Domain.FRESH_RUN))(bench.keys)
     settle = 0.5 * thermal_time(fluid)
     fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
     return Calibration(
@@ -303,7 +304,7 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         )
     for name in parameters:
         _first_guess(fluid, name, None, None, density)
-    benches = []
+    benches, key = [], jax.random.fold_in(key, Domain.GOAL)
     for k, (name, value) in enumerate(wishes.items()):
         one = {name: value}
         _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)

@@ -14,8 +14,6 @@ import numpy as np
 from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
-from dpdjax.engine.advice import damping_rate, suggest_dt, suggest_skin, thermal_time
-from dpdjax.engine.batching import each_member
 from dpdjax.engine.chunk import complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.compiling import is_new
 from dpdjax.engine.observables import standard
@@ -28,9 +26,12 @@ from dpdjax.engine.trajectory import Plan
 from dpdjax.measure.needs import HOT, WARM
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
+from dpdjax.model.advice import suggest_dt, suggest_skin
 from dpdjax.model.laws import central_drag
+from dpdjax.model.rates import damping_rate, thermal_time
 from dpdjax.model.term import term
 from dpdjax.prepare.start import initial_state
+from dpdjax.xla import each_member
 
 PIECE = Plan(frames=25, every=40)
 """A run is extended by whole pieces until its error bar is met: one compilation for all."""

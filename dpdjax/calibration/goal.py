@@ -8,10 +8,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine.advice import damping_rate, kinetic_theory_viscosity, thermal_time
 from dpdjax.engine.deformation import shear
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.observables import pressure_tensor, static_pressure, temperature
+from dpdjax.model.rates import damping_rate, kinetic_theory_viscosity, thermal_time
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 import optax
 
 from dpdjax.calibration import experiment
-from dpdjax.engine.advice import thermal_time
 from dpdjax.measure.statistics import Estimate
+from dpdjax.model.rates import thermal_time
+from dpdjax.pairs.noise import Domain
 
 SIGMAS = 3.0
 """Standard errors that fit into a tolerance."""
@@ -172,7 +173,7 @@ def _measure(fluid, parameters, benches, x, errors, first, say) -> JointPoint:
 def _fresh(fluid, benches, wanted, say):
     settle = 0.5 * thermal_time(fluid)
     for bench in benches:
-        bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, 7))(bench.keys)
+        bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, Domain.FRESH_RUN))(bench.keys)
     return [
         experiment.measure(b, fluid, w, settle, int(1e9), say).estimate
         for b, w in zip(benches, wanted)

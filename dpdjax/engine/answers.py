@@ -1,6 +1,8 @@
 """What the parts of a run are, and what a deformation or a driver answers, checked before it."""
 
+import dataclasses
 from collections.abc import Callable
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,33 @@ import numpy as np
 
 from dpdjax.checks import is_concrete
 from dpdjax.engine.batching import chosen
+
+
+class Part:
+    """What deformations, drivers and integrators have in common.
+
+    One of your own is a frozen dataclass derived from ``dpd.Deformation``, ``dpd.Driver`` or
+    ``dpd.Integrator`` and registered with ``jax.tree_util.register_dataclass``, its numbers leaves.
+
+    Attributes:
+        ranks: of each number that may differ from member to member of a batch, by name, how many
+            axes it has in one; with one more it is a batch.
+    """
+
+    ranks: ClassVar[dict[str, int]] = {}
+
+    def batch_axes(self):
+        """The ``in_axes`` for ``jax.vmap``: 0 for what is a batch by :attr:`ranks`."""
+        axis = lambda x, rank: 0 if jnp.ndim(x) == rank + 1 else None
+        axes = {
+            name: jax.tree.map(lambda x: axis(x, rank), getattr(self, name))
+            for name, rank in self.ranks.items()
+        }
+        if not jax.tree.leaves(axes):
+            return None
+        static = {f.name for f in dataclasses.fields(self) if f.metadata.get("static")}
+        others = {f.name: None for f in dataclasses.fields(self) if f.name not in static}
+        return dataclasses.replace(self, **(others | axes))
 
 
 def check_part(part, kinds: tuple[type, ...], name: str, wanted: str) -> None:

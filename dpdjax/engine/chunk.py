@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
 from dpdjax.engine import status as bits
-from dpdjax.engine.batching import each_member
 from dpdjax.engine.compiling import is_new
 from dpdjax.engine.simulate import advance
 from dpdjax.engine.state import State, grow
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
+from dpdjax.pairs import neighbours as lists
+from dpdjax.xla import each_member
 
 MAX_GROWTHS = 20
 

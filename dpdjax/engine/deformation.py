@@ -7,14 +7,11 @@ import jax
 import jax.numpy as jnp
 
 from dpdjax.checks import number, positive
-from dpdjax.engine.answers import check_answers
+from dpdjax.engine.answers import Part, check_answers
 
 
-class Deformation:
+class Deformation(Part):
     """What every deformation answers; by default a steady shear of its ``rate``.
-
-    One of your own is a frozen dataclass derived from this one, registered with
-    ``jax.tree_util.register_dataclass``, its numbers leaves.
 
     Attributes:
         rate: the shear rate; the largest where it changes [1/time]. One that never deforms the box
@@ -63,10 +60,6 @@ class Deformation:
         """Shear strain of the step that begins at ``time``."""
         return self.rate * dt
 
-    def batch_axes(self):
-        """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
-        return None
-
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
@@ -81,10 +74,9 @@ class Still(Deformation):
 class Shear(Deformation):
     """Steady homogeneous shear ``u_x = rate y`` by Lees-Edwards boundaries."""
 
-    rate: Any
+    ranks = {"rate": 0}
 
-    def batch_axes(self):
-        return Shear(0) if jnp.ndim(self.rate) == 1 else None
+    rate: Any
 
 
 @jax.tree_util.register_dataclass
@@ -92,6 +84,8 @@ class Shear(Deformation):
 class Oscillation(Deformation):
     """Homogeneous shear of strain ``amplitude sin(frequency time)``; see
     :func:`oscillatory_shear`."""
+
+    ranks = {"amplitude": 0, "frequency": 0}
 
     amplitude: Any
     frequency: Any
@@ -107,10 +101,6 @@ class Oscillation(Deformation):
         # The difference of two sines as a product, which rounds less.
         half = 0.5 * self.frequency * dt
         return 2.0 * self.amplitude * jnp.sin(half) * jnp.cos(self.frequency * time + half)
-
-    def batch_axes(self):
-        axes = [0 if jnp.ndim(x) == 1 else None for x in (self.amplitude, self.frequency)]
-        return None if axes == [None, None] else Oscillation(*axes)
 
 
 def shear(rate) -> Shear:

@@ -9,16 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, number, positive
-from dpdjax.engine.answers import check_answers
+from dpdjax.engine.answers import Part, check_answers
 from dpdjax.engine.batching import chosen
 
 
-class Driver:
-    """What every driver answers; by default it drives nothing.
-
-    One of your own is a frozen dataclass derived from this one, registered with
-    ``jax.tree_util.register_dataclass``, its numbers leaves.
-    """
+class Driver(Part):
+    """What every driver answers; by default it drives nothing."""
 
     def check(self, fluid, state):
         """Raise TypeError or ValueError, before a run of one state, for one that cannot work there.
@@ -39,10 +35,6 @@ class Driver:
 
     def torque(self, state):
         """Torque on each bead that rotates (m, 3), or None."""
-        return None
-
-    def batch_axes(self):
-        """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
         return None
 
 
@@ -75,13 +67,7 @@ class BodyForce(Driver):
 class Wave(BodyForce):
     """A sinusoidal body force along x; see :func:`sinusoidal_force`."""
 
-    def batch_axes(self):
-        axes = {name: 0 if jnp.ndim(x) == 1 else None for name, x in self.numbers.items()}
-        return (
-            dataclasses.replace(self, numbers=axes)
-            if any(axis == 0 for axis in axes.values())
-            else None
-        )
+    ranks = {"numbers": 0}
 
     def check(self, fluid, state):
         side = state.box.lengths[1]
@@ -100,6 +86,8 @@ class Wave(BodyForce):
 @dataclasses.dataclass(frozen=True)
 class Drive(Driver):
     """A force and a torque on every bead of one species, the rest held back; see :func:`drive`."""
+
+    ranks = {"push": 1, "twist": 1}
 
     push: Any
     twist: Any
@@ -125,12 +113,6 @@ class Drive(Driver):
             return None
         turning = state.species[state.rotation.slots] == self.species
         return jnp.where(turning[:, None], self.twist[None, :], 0.0)
-
-    def batch_axes(self):
-        axes = [0 if jnp.ndim(x) == 2 else None for x in (self.push, self.twist)]
-        return (
-            None if axes == [None, None] else dataclasses.replace(self, push=axes[0], twist=axes[1])
-        )
 
 
 def body_force(

@@ -7,31 +7,23 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine import advice, order
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
-from dpdjax.engine.batching import any_in_batch
+from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
-from dpdjax.engine.forces import DRIVEN, EVERYTHING, pair_force
+from dpdjax.engine.forces import forces_on, update_lists
 from dpdjax.engine.rotation import turn_by
-from dpdjax.engine.state import State, Tally, inertias, masses
+from dpdjax.engine.state import State
+from dpdjax.model import advice
+from dpdjax.model.beads import inertias, masses
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.sums import Forces
+from dpdjax.xla import any_in_batch
 
 
-class Forces(NamedTuple):
-    """What acts at one moment: force on each bead (n, 3), torque on those that rotate (m, 3) or
-    None, and sums over pairs."""
-
-    force: Any
-    torque: Any
-    tally: Tally
-
-
-class Integrator:
+class Integrator(Part):
     """What every integrator answers.
 
-    One of your own is a frozen dataclass derived from this one, registered with
-    ``jax.tree_util.register_dataclass``, its numbers leaves. It writes :meth:`step`, of which
-    :func:`drifted`, :func:`forces_on` and :func:`settled` are the parts.
+    One of your own writes :meth:`step`, of which :func:`drifted`, :func:`forces_on` and
+    :func:`settled` are the parts.
     """
 
     def step(self, system, state: State, key, tally: bool) -> State:
@@ -58,10 +50,6 @@ class Integrator:
         """What limits the time step, and the largest it allows; see :func:`advice.dt_limits`."""
         return advice.dt_limits(fluid, density, sizes)
 
-    def batch_axes(self):
-        """The ``in_axes`` for ``jax.vmap``: numbers with an axis of their own are a batch."""
-        return None
-
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
@@ -81,15 +69,14 @@ class VelocityVerlet(Integrator):
         lam: weight of the old force in the predicted velocity, ``lambda``.
     """
 
+    ranks = {"lam": 0}
+
     lam: Any = 0.5
 
     def step(self, system, state: State, key, tally: bool) -> State:
         moved, drift = drifted(system, state, self.lam)
         forces = forces_on(system, moved, drift.predicted(self.lam), key, tally)
         return settled(system, state, moved, drift, forces)
-
-    def batch_axes(self):
-        return VelocityVerlet(0) if jnp.ndim(self.lam) == 1 else None
 
 
 class Drift(NamedTuple):
@@ -132,31 +119,6 @@ def drifted(system, state: State, lam) -> tuple[State, Drift]:
     return moved, Drift(carried, kick, twist)
 
 
-def forces_on(
-    system, state: State, velocity, key, tally: bool, kinds: tuple[str, ...] = EVERYTHING
-) -> Forces:
-    """All forces at the state's positions, with drag from ``velocity`` (n, 3) and from the angular
-    velocities of the state.
-
-    Args:
-        system, state, key: what moves, where, and what keys the noise of ``state.step``.
-        velocity: peculiar velocities (n, 3).
-        tally: keep the sums over pairs (static); without them those of the state stay.
-        kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
-            but drag do not depend on the velocity.
-    """
-    fluid, flow = system.fluid, system.flow
-    with jax.named_scope("forces"):
-        force, torque, sums = pair_force(
-            fluid, state, velocity, flow.rate_at(state.time), key, system.dt, tally, kinds
-        )
-        if DRIVEN in kinds:
-            body, twist = flow.force(state, masses(fluid, state)[:, None]), flow.torque(state)
-            force = force if body is None else force + body
-            torque = torque if twist is None else torque + twist
-    return Forces(force, torque, sums if tally else state.tally)
-
-
 def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -> State:
     """The end of a step: velocities by the mean of the old and the new kick, and the new forces."""
     dt, fluid = system.dt, system.fluid
@@ -175,15 +137,6 @@ def with_forces(state: State, forces: Forces) -> State:
     if rotation is not None:
         rotation = dataclasses.replace(rotation, torque=forces.torque)
     return dataclasses.replace(state, force=forces.force, tally=forces.tally, rotation=rotation)
-
-
-def update_lists(state: State) -> State:
-    ids = order.list_ids(state)
-    with jax.named_scope("neighbours"):
-        neighbours = tuple(
-            lists.update(n, state.box, state.position, ids) for n in state.neighbours
-        )
-    return dataclasses.replace(state, neighbours=neighbours)
 
 
 def turning(fluid, state: State, dt, lam):

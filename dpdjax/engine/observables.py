@@ -9,9 +9,12 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
-from dpdjax.engine.state import inertias, masses
+from dpdjax.model.beads import inertias, masses
 from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
+from dpdjax.pairs.forces import interactions_of
+from dpdjax.pairs.geometry import Columns, Moment, geometry
+from dpdjax.pairs.laws import evaluate
+from dpdjax.pairs.sums import sum_onto_beads
 
 
 def kinetic_pressure(fluid, state):
@@ -140,7 +143,7 @@ def positions_of(species: int):
 def _slots(fluid, state, species: int) -> tuple[int, int]:
     """First slot and end of the beads of a species, known while tracing: beads of a species lie
     together."""
-    for interaction, neighbours in zip(fluid.interactions, state.neighbours):
+    for interaction, neighbours in interactions_of(fluid, state):
         for group, slots in zip(interaction.groups, neighbours.grid.groups):
             if group == (species,):
                 return slots
@@ -153,9 +156,9 @@ def _slots(fluid, state, species: int) -> tuple[int, int]:
 
 
 def _geometries(fluid, state):
-    beads = Beads.of(fluid, state, state.velocity)
-    for interaction, neighbours in zip(fluid.interactions, state.neighbours):
-        yield interaction, geometry(fluid, state.box, beads, interaction, neighbours.list.idx, 0.0)
+    beads, moment = Columns.of(fluid, state, state.velocity), Moment(state.box)
+    for interaction, neighbours in interactions_of(fluid, state):
+        yield interaction, geometry(fluid, interaction, beads, neighbours.list.idx, moment)
 
 
 def configurational_temperature(fluid, state):

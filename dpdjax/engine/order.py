@@ -9,8 +9,8 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from dpdjax.engine import cells
 from dpdjax.engine.state import State
+from dpdjax.pairs import cells
 
 SMALLEST = 10_000
 """Beads from which sorting pays: fewer stay in the cache in any order."""
@@ -71,10 +71,9 @@ def in_order_of(state: State, ids) -> State:
 def permuted(state: State, order) -> State:
     """The beads ``order`` (n,), a permutation of the slots; lists keep their pairs and their
     order."""
-    names = ("position", "position_rest", "velocity", "force", "image", "id", "species", "size")
     slot = jnp.append(cells.inverse(order), state.n)
     neighbours = tuple(_renumbered(n, order, slot) for n in jax.lax.stop_gradient(state.neighbours))
-    beads = {name: getattr(state, name)[order] for name in names}
+    beads = jax.tree.map(lambda rows: rows[order], state.beads)
     turning = state.rotation
     if turning is not None:
         turning = jax.tree.map(lambda rows: rows[order[turning.slots] - turning.begin], turning)

@@ -5,15 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, positive, prng_key
-from dpdjax.engine import advice, soundness
+from dpdjax.engine import soundness
 from dpdjax.engine import status as bits
 from dpdjax.engine.answers import check_part
 from dpdjax.engine.deformation import check_tilt
 from dpdjax.engine.integrator import Integrator
-from dpdjax.engine.state import State, radii
+from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
+from dpdjax.model import advice
+from dpdjax.model.beads import radii
 from dpdjax.model.fluid import Fluid
+from dpdjax.pairs.forces import interactions_of
 
 
 def check_run(system: System, state, key):
@@ -158,7 +161,7 @@ def list_trouble(fluid, state):
     """Bits for lists that overflowed, that are too short for the laws, or too wide for the box."""
     trouble = jnp.zeros((), jnp.uint32)
     radius = radii(fluid, state)
-    for interaction, neighbours in zip(fluid.interactions, state.neighbours):
+    for interaction, neighbours in interactions_of(fluid, state):
         code = neighbours.list.error.code
         grid = neighbours.grid
         trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag(

@@ -8,14 +8,15 @@ import jax.numpy as jnp
 from dpdjax.checks import is_concrete, prng_key
 from dpdjax.engine import motion, order, soundness
 from dpdjax.engine import status as bits
-from dpdjax.engine.forces import EVERYTHING
-from dpdjax.engine.integrator import Forces, Integrator, forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
+from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import Recorder, averaged, check_names, recorders
 from dpdjax.engine.refusals import check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
 from dpdjax.model.fluid import Fluid
+from dpdjax.pairs.sums import Forces
 
 
 def simulate(

@@ -18,10 +18,10 @@ import numpy as np
 from dpdjax.checks import is_concrete
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import chosen
-from dpdjax.engine.forces import evaluate
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid, Interaction
 from dpdjax.model.term import ACROSS, ALONG, Term
+from dpdjax.pairs.laws import evaluate
 
 EVENLY, FINELY = (
     (np.arange(128) + 0.5) / 128,

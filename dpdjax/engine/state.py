@@ -8,38 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
 from dpdjax.engine import status as bits
-from dpdjax.engine.batching import each_member
 from dpdjax.engine.rotation import Rotation
 from dpdjax.model import summary
-from dpdjax.model.fluid import ORIGINS, Fluid
+from dpdjax.model.fluid import ORIGINS
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.sums import Tally
+from dpdjax.xla import each_member
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class Tally:
-    """Sums over pairs from the last force pass that was asked for them.
-
-    Attributes:
-        energy: potential energy [energy].
-        virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first
-            axis, the separation along the second. Symmetric where all forces are central.
-    """
-
-    energy: Any
-    virial: dict[str, Any]
-
-    @classmethod
-    def zero(cls, dtype, origins=ORIGINS) -> "Tally":
-        return cls(jnp.zeros((), dtype), {origin: jnp.zeros((3, 3), dtype) for origin in origins})
-
-    def plus(self, energy, virial: dict) -> "Tally":
-        """With the sums of more pairs, whose virials may be of some of the origins only."""
-        return Tally(
-            self.energy + energy, self.virial | {k: self.virial[k] + v for k, v in virial.items()}
-        )
+def _of_bead():
+    """A field with a row for each bead."""
+    return dataclasses.field(metadata={"of_bead": True})
 
 
 @jax.tree_util.register_dataclass
@@ -70,17 +51,17 @@ class State:
         status: sticky bits (``dpdjax.engine.status``).
     """
 
-    position: Any
-    velocity: Any
-    force: Any
-    image: Any
-    id: Any
-    species: Any
-    size: Any
+    position: Any = _of_bead()
+    velocity: Any = _of_bead()
+    force: Any = _of_bead()
+    image: Any = _of_bead()
+    id: Any = _of_bead()
+    species: Any = _of_bead()
+    size: Any = _of_bead()
     box: boxes.Box
     step: Any
     time: Any
-    position_rest: Any
+    position_rest: Any = _of_bead()
     strain_rest: Any
     time_rest: Any
     neighbours: tuple[lists.Neighbours, ...]
@@ -118,6 +99,12 @@ class State:
         return self.position.shape[-2]
 
     @property
+    def beads(self) -> dict:
+        """All that has a row for each bead, by name: what goes where a bead goes in memory."""
+        own = [f.name for f in dataclasses.fields(self) if f.metadata.get("of_bead")]
+        return {name: getattr(self, name) for name in own}
+
+    @property
     def unwrapped(self):
         """Positions followed through the periodic images (n, 3) [length].
 
@@ -132,32 +119,6 @@ class State:
     def restarted(self) -> "State":
         """The same beads with the force forgotten: the next run computes it from its own fluid."""
         return dataclasses.replace(self, started=jnp.zeros_like(self.started))
-
-
-def masses(fluid: Fluid, state: State):
-    """Mass of each bead (n,)."""
-    return fluid.mass[state.species] * state.size**3
-
-
-def radii(fluid: Fluid, state: State):
-    """Radius of each bead (n,), 0 for points [length]."""
-    of_species = jnp.stack(
-        [jnp.zeros((), state.size.dtype) if r is None else r for r in fluid.radius]
-    )
-    return of_species[state.species] * state.size
-
-
-def inertias(fluid: Fluid, state: State):
-    """Moment of inertia of each bead that rotates (m,) [mass length^2]."""
-    slots = state.rotation.slots
-    return inertia_of(fluid, state.species[slots], state.size[slots])
-
-
-def inertia_of(fluid: Fluid, species, size):
-    """Moment of inertia of beads of these species and relative sizes (m,); goes as the fifth power
-    of the size."""
-    of_species = jnp.stack([jnp.ones((), size.dtype) if x is None else x for x in fluid.inertia])
-    return of_species[species] * size**5
 
 
 # One program: operation by operation, a first list takes seconds to compile.

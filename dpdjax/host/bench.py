@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine import neighbours as lists
 from dpdjax.engine import order
-from dpdjax.engine.advice import suggest_dt
-from dpdjax.engine.batching import each_member
 from dpdjax.engine.simulate import simulate
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Plan
 from dpdjax.host.run import run
+from dpdjax.model.advice import suggest_dt
+from dpdjax.pairs import neighbours as lists
 from dpdjax.prepare.start import initial_state
+from dpdjax.xla import each_member
 
 SETTLE = 400
 """Steps from a random start to a fluid whose lists last as long as they will."""

@@ -10,13 +10,13 @@ from dpdjax.engine.flow import Flow
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.observables import rotations, standard
 from dpdjax.engine.refusals import check_kinds, check_plan, check_run
-from dpdjax.engine.state import inertias, masses, radii
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
 from dpdjax.host.io import refuse_existing
 from dpdjax.host.progress import Progress
 from dpdjax.host.run import collected
 from dpdjax.host.stream import Job, Piece, chunk_frames
+from dpdjax.model.beads import inertias, masses, radii
 from dpdjax.model.colloids import solvent_reach
 
 DRAWN_RADIUS = 0.5

@@ -10,27 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine import neighbours as lists
-from dpdjax.engine.box import Box
 from dpdjax.engine.rotation import Rotation
-from dpdjax.engine.state import State, Tally
+from dpdjax.engine.state import State, assemble
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.box import box
 
-FORMAT = 5
-TURNING = ("velocity", "torque", "orientation", "orientation_rest")
-ARRAYS = (
-    "position",
-    "velocity",
-    "force",
-    "image",
-    "id",
-    "species",
-    "size",
-    "step",
-    "time",
-    "started",
-    "status",
-)
-ARRAYS += ("position_rest", "strain_rest", "time_rest")
+FORMAT = 6
 
 
 def refuse_existing(path, cure: str) -> None:
@@ -61,28 +46,17 @@ def save_state(path, state: State) -> None:
     A run goes on from it exactly, given the key it was started with. A file of that name is
     replaced when the new one is whole.
     """
-    arrays = {name: np.asarray(getattr(state, name)) for name in ARRAYS}
-    arrays |= {
-        "box_lengths": np.asarray(state.box.lengths),
-        "box_strain": np.asarray(state.box.strain),
-    }
-    arrays |= {"tally_energy": np.asarray(state.tally.energy)}
-    arrays |= {f"tally_virial_{origin}": np.asarray(v) for origin, v in state.tally.virial.items()}
+    arrays = _by_name(dataclasses.replace(state, neighbours=()))
     for k, n in enumerate(state.neighbours):
-        arrays |= {
-            f"list{k}_pairs": np.asarray(n.list.idx),
-            f"list{k}_reference": np.asarray(n.list.reference_position),
-            f"list{k}_code": np.asarray(n.list.error.code),
-            f"list{k}_strain": np.asarray(n.strain),
-        }
-    if state.rotation is not None:
-        arrays |= {
-            f"rotation_{name}": np.asarray(getattr(state.rotation, name)) for name in TURNING
-        }
-    grids = [dataclasses.asdict(n.grid) for n in state.neighbours]
+        arrays |= {f"neighbours.{k}.{name}": x for name, x in lists.arrays_of(n).items()}
+    meta = {
+        "format": FORMAT,
+        "grids": [_written(n.grid) for n in state.neighbours],
+        "origins": list(state.tally.virial),
+        "rotation": None if state.rotation is None else state.rotation.begin,
+    }
     with replacing(path) as file:
-        meta = {"format": FORMAT, "grids": grids, "origins": list(state.tally.virial)}
-        meta |= {"turning_from": None if state.rotation is None else state.rotation.begin}
+        arrays = {name: np.asarray(x) for name, x in arrays.items()}
         np.savez_compressed(file, meta=json.dumps(meta), **arrays)
 
 
@@ -109,32 +83,36 @@ def load_state(path) -> State:
         ) from error
 
 
-def _assembled(saved, meta) -> State:
-    return State(
-        **{name: saved[name] for name in ARRAYS},
-        box=Box(saved["box_lengths"], saved["box_strain"]),
-        neighbours=tuple(_list(saved, k, grid) for k, grid in enumerate(meta["grids"])),
-        tally=Tally(
-            saved["tally_energy"],
-            {origin: saved[f"tally_virial_{origin}"] for origin in meta["origins"]},
-        ),
-        rotation=_rotation(saved, meta["turning_from"]),
-    )
+def _assembled(saved: dict, meta: dict) -> State:
+    skeleton = _skeleton(tuple(meta["origins"]), meta["rotation"])
+    leaves = [saved[name] for name in _by_name(skeleton)]
+    state = jax.tree.unflatten(jax.tree.structure(skeleton), leaves)
+    held = tuple(_list(saved, f"neighbours.{k}.", grid) for k, grid in enumerate(meta["grids"]))
+    return dataclasses.replace(state, neighbours=held)
 
 
-def _rotation(saved, begin) -> Rotation | None:
-    return (
-        None if begin is None else Rotation(*(saved[f"rotation_{name}"] for name in TURNING), begin)
-    )
+def _skeleton(origins: tuple[str, ...], rotation: int | None) -> State:
+    """A state of the same parts, without lists and without numbers."""
+    beads = jnp.zeros((1, 3))
+    turning = None if rotation is None else Rotation.of(beads, rotation)
+    species = jnp.zeros(1, jnp.int32)
+    make = lambda: assemble(box(1.0), beads, beads, species, (), origins=origins, rotation=turning)
+    return jax.eval_shape(make)
 
 
-def _list(saved, k, fields):
+def _by_name(tree) -> dict:
+    """The leaves of a tree by where they are, as ``box.lengths``."""
+    name_of = lambda path: jax.tree_util.keystr(path, simple=True, separator=".")
+    return {name_of(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
+
+
+def _written(grid: lists.Grid) -> dict:
+    """What of a grid is saved: the kernel is one of the machine that reads it."""
+    fields = {f.name: getattr(grid, f.name) for f in dataclasses.fields(grid)}
+    return {name: value for name, value in fields.items() if name != "kernel"}
+
+
+def _list(saved: dict, prefix: str, fields: dict) -> lists.Neighbours:
     cells, groups = fields["cells"], tuple(tuple(group) for group in fields["groups"])
     grid = lists.Grid(**{**fields, "cells": tuple(cells) if cells else None, "groups": groups})
-    return lists.restore(
-        grid,
-        saved[f"list{k}_pairs"],
-        saved[f"list{k}_reference"],
-        saved[f"list{k}_code"],
-        saved[f"list{k}_strain"],
-    )
+    return lists.restore(grid, **{name: saved[prefix + name] for name in lists.ARRAYS})

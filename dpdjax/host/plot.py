@@ -3,7 +3,7 @@
 import numpy as np
 
 from dpdjax.drawing import axes
-from dpdjax.engine.state import radii
+from dpdjax.model.beads import radii
 
 
 def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, fluid=None):

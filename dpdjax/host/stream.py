@@ -11,7 +11,6 @@ import numpy as np
 
 from dpdjax.checks import prng_key
 from dpdjax.engine import status as bits
-from dpdjax.engine.advice import cautions
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
 from dpdjax.engine.integrator import Integrator
@@ -20,6 +19,7 @@ from dpdjax.engine.refusals import check_finite, check_kinds, check_plan, check_
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
+from dpdjax.host.cautions import cautions
 from dpdjax.model.fluid import Fluid
 
 CHUNK, LEAST = 1_000_000, 50

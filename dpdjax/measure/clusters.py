@@ -7,10 +7,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from dpdjax.drawing import curve
+from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
 from dpdjax.measure.spheres import by_frame, close_pairs, nearest
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, error_of, standard_error
 
 
 @dataclasses.dataclass(frozen=True)

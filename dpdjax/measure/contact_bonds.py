@@ -6,10 +6,10 @@ import dataclasses
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.measure.blocks import average, pieces_of_member, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
 from dpdjax.measure.spheres import close_pairs, frames_of
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, pieces_of_member, standard_error
 
 SURVIVAL_PIECES = 4
 """Independent pieces that the lags of the survival leave unless told otherwise, replicas counted.

@@ -6,9 +6,9 @@ import numpy as np
 
 from dpdjax.checks import positive
 from dpdjax.drawing import curve
+from dpdjax.measure.blocks import average, error_of
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import average, error_of
 from dpdjax.model.colloids import attraction_range
 
 

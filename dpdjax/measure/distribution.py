@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import chosen_beads
 from dpdjax.measure.spheres import as_spheres, by_frame, nearest, of_run
-from dpdjax.measure.structure import RadialDistribution, distance_edges, error_of, whole_bins
+from dpdjax.measure.structure import RadialDistribution, distance_edges, whole_bins
 
 PAIRS_AT_ONCE = 2**14
 """Pairs looked at together: few enough for their separations to stay in the cache."""

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dpdjax.engine import advice
 from dpdjax.measure.hydrodynamics import velocity_tail
 from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate
+from dpdjax.model import rates
 
 FLYING = 0.25
 """Share of a diffusion coefficient yet to come by drag alone, above which nothing was measured."""
@@ -62,11 +62,11 @@ def _solvent_viscosity(fluid, densities) -> float | None:
     between them."""
     points = [k for k, radius in enumerate(fluid.radius) if radius is None]
     among = tuple(i for i in fluid.interactions if set(i.groups[0] + i.groups[1]) <= set(points))
-    numbers = advice.extreme(dataclasses.replace(fluid, interactions=among))
+    numbers = rates.extreme(dataclasses.replace(fluid, interactions=among))
     density = float(densities[points].sum())
-    if not among or density == 0 or advice.damping_rate(numbers, density) == 0:
+    if not among or density == 0 or rates.damping_rate(numbers, density) == 0:
         return None
-    return advice.kinetic_theory_viscosity(numbers, density)
+    return rates.kinetic_theory_viscosity(numbers, density)
 
 
 def is_forgotten(memory: Memory, found: Estimate, lags, pieces: int) -> bool:

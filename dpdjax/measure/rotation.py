@@ -12,14 +12,14 @@ import numpy as np
 from dpdjax.drawing import curve
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.rotation import axis_of
-from dpdjax.engine.state import inertias
 from dpdjax.measure import needs, transport
+from dpdjax.measure.blocks import standard_error
 from dpdjax.measure.forgetting import Memory
 from dpdjax.measure.reading import recorded
 from dpdjax.measure.replicas import shared
 from dpdjax.measure.statistics import Estimate
-from dpdjax.measure.structure import standard_error
 from dpdjax.measure.transport import correlated, read_diffusion
+from dpdjax.model.beads import inertias
 
 RECORD = "dpd.rotations"
 

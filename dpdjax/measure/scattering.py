@@ -6,8 +6,9 @@ import functools
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.measure.blocks import error_of
 from dpdjax.measure.spheres import as_spheres, by_frame, shift_of
-from dpdjax.measure.structure import error_of, whole_bins
+from dpdjax.measure.structure import whole_bins
 
 
 @dataclasses.dataclass(frozen=True)

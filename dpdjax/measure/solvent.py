@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dpdjax.engine.state import radii
 from dpdjax.measure.spheres import frame_of, shift_of, with_images
+from dpdjax.model.beads import radii
 from dpdjax.model.colloids import solvent_reach
 
 CLEARANCE, PROBE = 0.8, 0.5

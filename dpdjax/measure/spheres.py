@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dpdjax.checks import number, positive
-from dpdjax.engine.state import radii
 from dpdjax.measure import needs
 from dpdjax.measure.reading import as_frames, chosen_beads, of_beads, recorded, strains
+from dpdjax.model.beads import radii
 
 IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
 """The box and the 26 around it, in lattice vectors."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from dpdjax.drawing import curve
 from dpdjax.measure import needs
+from dpdjax.measure.blocks import PIECES, pieces_of_member, standard_error
 from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
 from dpdjax.measure.replicas import bead_masses, shared, species_of
 from dpdjax.measure.statistics import Estimate, from_replicas
-from dpdjax.measure.structure import PIECES, pieces_of_member, standard_error
 
 BEADS_AT_ONCE = 256
 """Beads Fourier-transformed at a time."""

@@ -6,14 +6,14 @@ import math
 import numpy as np
 
 from dpdjax.checks import positive, prng_key
-from dpdjax.engine import box as boxes
-from dpdjax.engine.advice import suggest_dt
 from dpdjax.engine.state import State
+from dpdjax.model.advice import suggest_dt
 from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.marbles import marble_fluid
 from dpdjax.model.summary import as_table, energies_in_kT, written
+from dpdjax.pairs import box as boxes
 from dpdjax.prepare import packing
 from dpdjax.prepare.cores import closest
 from dpdjax.prepare.start import placed, plan_lists

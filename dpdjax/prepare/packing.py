@@ -13,11 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, not_negative, number, positive, prng_key
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
-
-PACK_DOMAIN, FILL_DOMAIN = 4, 5
-"""Folded into the key, so that one key may serve spheres, points, velocities and noise."""
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.noise import Domain
 
 DENSEST = 0.6
 """Volume fraction up to which spheres, each with half a gap around it, are packed: they jam at 0.64
@@ -62,7 +60,7 @@ def pack(key, box: boxes.Box, radius, *, gap: float | None = None):
         RuntimeError: spheres that are still too close after 5000 sweeps.
         TypeError: no key.
     """
-    key = _one_key(key, PACK_DOMAIN)
+    key = _one_key(key, Domain.PACK)
     lengths, radius = _sides(box, key, radius, gap), _radii(radius)
     gap = _checked_gap(lengths, radius, gap)
     target = gap + _margin(lengths, radius, gap)
@@ -122,7 +120,7 @@ def fill(key, box: boxes.Box, centres, radius, count: int, *, clearance: float =
         RuntimeError: no free volume, or next to none.
         TypeError: no key.
     """
-    key = _one_key(key, FILL_DOMAIN)
+    key = _one_key(key, Domain.FILL)
     lengths, radius = _sides(box, key, radius, centres, clearance), _radii(radius)
     clearance, count = float(not_negative(clearance, "clearance")), operator.index(count)
     centres = number(centres, "centres").astype(box.lengths.dtype)
@@ -151,7 +149,7 @@ def fill(key, box: boxes.Box, centres, radius, count: int, *, clearance: float =
     return position
 
 
-def _one_key(key, domain: int):
+def _one_key(key, domain: Domain):
     """The key for one purpose."""
     key = prng_key(key)
     if key.ndim:
@@ -169,7 +167,7 @@ def _sides(box, *others) -> np.ndarray:
     if box.strain != 0:
         raise ValueError(
             f"the box has a strain of {float(box.strain):.4g}; give an unstrained one, "
-            "dpdjax.engine.box.box(lengths)"
+            "dpdjax.pairs.box.box(lengths)"
         )
     return np.asarray(box.lengths, float)
 

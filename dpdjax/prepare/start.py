@@ -5,18 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.checks import is_concrete, not_negative, positive, prng_key
-from dpdjax.engine import box as boxes
-from dpdjax.engine import neighbours as lists
 from dpdjax.engine import soundness
-from dpdjax.engine.advice import suggest_dt, suggest_skins
 from dpdjax.engine.rotation import Rotation
-from dpdjax.engine.state import State, assemble, inertia_of
+from dpdjax.engine.state import State, assemble
+from dpdjax.model.advice import suggest_dt, suggest_skins
+from dpdjax.model.beads import inertia_of
 from dpdjax.model.fluid import Fluid
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import neighbours as lists
+from dpdjax.pairs.noise import Domain
 from dpdjax.prepare import packing
 from dpdjax.prepare.cores import START_ENERGY, start_radii
 
-POSITION_DOMAIN, VELOCITY_DOMAIN, SPIN_DOMAIN = 2, 3, 8
-"""Folded into the user's key, so that one key serves start and noise."""
 CLUSTERING = 2.0
 """Room in the lists of colloids, which gather."""
 LEAST_SKIN = 0.05
@@ -149,7 +149,7 @@ def _rotation(fluid, key, counts, species, size) -> Rotation:
     slots = slice(int(edges[fluid.rotating[0]]), int(edges[fluid.rotating[-1] + 1]))
     inertia = inertia_of(fluid, species[slots], size[slots])
     draw = jax.random.normal(
-        jax.random.fold_in(key, SPIN_DOMAIN), (len(inertia), 3), dtype=inertia.dtype
+        jax.random.fold_in(key, Domain.SPIN), (len(inertia), 3), dtype=inertia.dtype
     )
     return Rotation.of(draw * jnp.sqrt(fluid.kT / inertia)[:, None], slots.start)
 
@@ -210,7 +210,7 @@ def _shares(total, species, fractions):
 def _positions(start, key, box, n):
     if start == "random":
         u = jax.random.uniform(
-            jax.random.fold_in(key, POSITION_DOMAIN), (n, 3), dtype=box.lengths.dtype
+            jax.random.fold_in(key, Domain.POSITION), (n, 3), dtype=box.lengths.dtype
         )
         return u * box.lengths[None]
     if start == "lattice":
@@ -256,7 +256,7 @@ def _lattice(n, lengths):
 def _velocities(key, mass, kT):
     """Maxwell velocities, shifted to zero momentum."""
     draw = jax.random.normal(
-        jax.random.fold_in(key, VELOCITY_DOMAIN), (mass.shape[0], 3), dtype=mass.dtype
+        jax.random.fold_in(key, Domain.VELOCITY), (mass.shape[0], 3), dtype=mass.dtype
     )
     velocity = draw * jnp.sqrt(kT / mass)[:, None]
     return velocity - jnp.sum(mass[:, None] * velocity, axis=0, keepdims=True) / jnp.sum(mass)

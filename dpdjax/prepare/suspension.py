@@ -7,18 +7,17 @@ import jax
 import numpy as np
 
 from dpdjax.checks import positive, prng_key
-from dpdjax.engine import box as boxes
-from dpdjax.engine.advice import suggest_dt
 from dpdjax.engine.state import State
+from dpdjax.model.advice import suggest_dt
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.summary import as_table, energies_in_kT
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.noise import Domain
 from dpdjax.prepare import packing
 from dpdjax.prepare.start import placed, plan_lists
 
-SIZE_DOMAIN = 6
-"""Folded into the user's key for the sizes of polydisperse colloids."""
 CUT_SIZES = 3.0
 """Gaussian sizes are drawn again beyond this many standard deviations."""
 CUT_DEVIATION = 0.98658
@@ -205,6 +204,6 @@ def _radii_and_sides(key, phi, box, colloids, radius, spread):
 def _sizes(key, count: int, spread: float) -> np.ndarray:
     """Relative sizes (count,) of mean about 1."""
     draw = jax.random.truncated_normal(
-        jax.random.fold_in(key, SIZE_DOMAIN), -CUT_SIZES, CUT_SIZES, (count,)
+        jax.random.fold_in(key, Domain.SIZE), -CUT_SIZES, CUT_SIZES, (count,)
     )
     return 1.0 + spread / CUT_DEVIATION * np.asarray(draw, float)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import dpdjax as dpd
-from dpdjax.engine import noise
+from dpdjax.pairs import noise
 
 HERE = Path(__file__).parent
 CHUNK = 1 << 22

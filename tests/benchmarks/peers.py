@@ -215,8 +215,8 @@ CUT = 1.3
 def _builder():
     import jax
 
-    from dpdjax.engine import box as boxes
-    from dpdjax.engine import neighbours as lists
+    from dpdjax.pairs import box as boxes
+    from dpdjax.pairs import neighbours as lists
 
     box = boxes.box(SIDE)
     grid = lists.plan_grid(BEADS, [SIDE] * 3, 1.0, CUT - 1.0, sheared=False)

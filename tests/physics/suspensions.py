@@ -19,9 +19,11 @@ from rooms import row, stacked
 from scipy.interpolate import CubicSpline
 
 import dpdjax as dpd
-from dpdjax.engine import box as boxes
-from dpdjax.engine.forces import Beads, evaluate, geometry, sum_onto_beads
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.geometry import Columns, Moment, geometry
+from dpdjax.pairs.laws import evaluate
+from dpdjax.pairs.sums import sum_onto_beads
 from dpdjax.prepare import packing
 from dpdjax.prepare.start import placed, plan_lists
 
@@ -340,9 +342,9 @@ def viscosity():
 
 def solvent_force(fluid, state):
     """Mean of what the solvent pushes two held colloids apart by, along the line of centres."""
-    beads = Beads.of(fluid, state, state.velocity)
+    beads = Columns.of(fluid, state, state.velocity)
     interaction, neighbours = fluid.interactions[1], state.neighbours[1]
-    pairs = geometry(fluid, state.box, beads, interaction, neighbours.list.idx, 0.0)
+    pairs = geometry(fluid, interaction, beads, neighbours.list.idx, Moment(state.box))
     f = sum_onto_beads(
         pairs,
         evaluate(interaction.conservative, pairs, fluid.kT, derivative=True)[1],

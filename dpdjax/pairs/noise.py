@@ -7,21 +7,39 @@ Two lists that hold the same pair give it the same number, whatever its slot; so
 overflow can be replayed, a restart is exact, and the order of the beads is free.
 """
 
+import enum
+
 import jax
 import jax.numpy as jnp
 
-PAIR_DOMAIN, VECTOR_DOMAIN = 1, 7
-"""Folded into the key before the step: ``split(key)[i]`` equals ``fold_in(key, i)``."""
+
+class Domain(enum.IntEnum):
+    """What chance is for: folded into a key before anything else, so that no two uses of one key
+    share numbers.
+
+    ``split(key)[i]`` equals ``fold_in(key, i)``, and a step may be any number.
+    """
+
+    PAIR = 1
+    POSITION = 2
+    VELOCITY = 3
+    PACK = 4
+    FILL = 5
+    SIZE = 6
+    VECTOR = 7
+    SPIN = 8
+    FRESH_RUN = 9
+    GOAL = 10
 
 
 def step_words(key, step, channel: int = 0):
     """Two uint32 words for one step and one interaction, from JAX's own generator."""
-    return _words(key, PAIR_DOMAIN, channel, step, 2)
+    return _words(key, Domain.PAIR, channel, step, 2)
 
 
 def vector_words(key, step, channel: int = 0):
     """Three more, for noise with three components."""
-    return _words(key, VECTOR_DOMAIN, channel, step, 3)
+    return _words(key, Domain.VECTOR, channel, step, 3)
 
 
 def _words(key, domain, channel, step, count):

@@ -11,14 +11,15 @@ import importlib.util
 import math
 import sys
 import types
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine import box as boxes
-from dpdjax.engine import cells
-from dpdjax.engine.batching import where_needed
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs import cells, kernels
+from dpdjax.xla import where_needed
 
 FINENESS = 4
 """Cells along x per cut: finer cells fit the ranges closer to what is within the cut."""
@@ -40,6 +41,8 @@ class Grid:
         capacity: pairs the list holds.
         sheared: whether the cells are wide enough for a tilted box.
         groups: first slot and end of either group; twice the same for the pairs within one.
+        kernel: what does the sums over the pairs (``dpdjax.pairs.kernels``), by default the one
+            suited to this machine.
     """
 
     reach: float
@@ -50,6 +53,7 @@ class Grid:
     capacity: int
     sheared: bool
     groups: tuple[tuple[int, int], tuple[int, int]]
+    kernel: Callable = dataclasses.field(default_factory=kernels.suited)
 
     @property
     def is_one_group(self) -> bool:
@@ -190,6 +194,17 @@ def allocate(grid: Grid, box: boxes.Box, position, ids=None) -> Neighbours:
     idx, (pairs, windows) = build_pairs(grid, box, position, ids)
     code = pairs.astype(jnp.uint8) + 2 * windows.astype(jnp.uint8)
     return restore(grid, idx, position, code, box.strain)
+
+
+ARRAYS = ("idx", "reference_position", "code", "strain")
+"""What a list consists of beside its grid."""
+
+
+def arrays_of(neighbours: Neighbours) -> dict:
+    """The arrays of a list by name, as :func:`restore` takes them."""
+    held = neighbours.list
+    arrays = (held.idx, held.reference_position, held.error.code, neighbours.strain)
+    return dict(zip(ARRAYS, arrays))
 
 
 def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:

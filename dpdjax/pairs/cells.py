@@ -19,8 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.engine import box as boxes
-from dpdjax.engine.batching import apart, on_cpu
+from dpdjax.pairs import box as boxes
+from dpdjax.xla import apart, on_cpu
 
 # Rows as (dy, dz): of the half stencil, the first the bead's own row; and all around a bead.
 HALF = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]], np.int32)

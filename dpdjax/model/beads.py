@@ -1,0 +1,34 @@
+"""What a fluid says of each bead, by its species and its relative size.
+
+``beads`` is a state, or anything with their ``species`` (n,) and ``size`` (n,).
+"""
+
+import jax.numpy as jnp
+
+from dpdjax.model.fluid import Fluid
+
+
+def masses(fluid: Fluid, beads):
+    """Mass of each bead (n,)."""
+    return fluid.mass[beads.species] * beads.size**3
+
+
+def radii(fluid: Fluid, beads):
+    """Radius of each bead (n,), 0 for points [length]."""
+    of_species = jnp.stack(
+        [jnp.zeros((), beads.size.dtype) if r is None else r for r in fluid.radius]
+    )
+    return of_species[beads.species] * beads.size
+
+
+def inertias(fluid: Fluid, beads):
+    """Moment of inertia of each bead that rotates (m,) [mass length^2]."""
+    slots = beads.rotation.slots
+    return inertia_of(fluid, beads.species[slots], beads.size[slots])
+
+
+def inertia_of(fluid: Fluid, species, size):
+    """Moment of inertia of beads of these species and relative sizes (m,); goes as the fifth power
+    of the size."""
+    of_species = jnp.stack([jnp.ones((), size.dtype) if x is None else x for x in fluid.inertia])
+    return of_species[species] * size**5

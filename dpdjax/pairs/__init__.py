@@ -1,0 +1,1 @@
+"""What acts between pairs of beads: the box, lists of neighbours, geometry, laws, sums."""

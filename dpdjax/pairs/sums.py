@@ -1,0 +1,149 @@
+"""Sums over pairs onto their beads and over all of them."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dpdjax.model.fluid import ORIGINS
+from dpdjax.pairs.geometry import Columns, Pairs, cross
+from dpdjax.xla import on_cpu
+
+UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """Sums over pairs from the last force pass that was asked for them.
+
+    Attributes:
+        energy: potential energy [energy].
+        virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first
+            axis, the separation along the second. Symmetric where all forces are central.
+    """
+
+    energy: Any
+    virial: dict[str, Any]
+
+    @classmethod
+    def zero(cls, dtype, origins=ORIGINS) -> "Tally":
+        return cls(jnp.zeros((), dtype), {origin: jnp.zeros((3, 3), dtype) for origin in origins})
+
+    def plus(self, energy, virial: dict) -> "Tally":
+        """With the sums of more pairs, whose virials may be of some of the origins only."""
+        return Tally(
+            self.energy + energy, self.virial | {k: self.virial[k] + v for k, v in virial.items()}
+        )
+
+
+class Forces(NamedTuple):
+    """What acts at one moment: force on each bead (n, 3), torque on those that rotate (m, 3) or
+    None, and sums over pairs; None where there are none."""
+
+    force: Any
+    torque: Any
+    tally: Tally | None
+
+    def plus(self, more: "Forces") -> "Forces":
+        """With what acts beside it: other pairs, bonds, drivers."""
+        both = lambda old, new: old if new is None else old + new
+        tally = self.tally
+        if more.tally is not None:
+            tally = tally.plus(more.tally.energy, more.tally.virial)
+        return Forces(both(self.force, more.force), both(self.torque, more.torque), tally)
+
+
+def over_blocks(add, sums, idx, size: int, pad: int):
+    """``sums = add(sums, part)`` over ``idx`` (2, pairs) in blocks of ``size``, the last one filled
+    with ``pad``."""
+
+    def turn(sums, begin):
+        # The last block reaches back into the one before it.
+        start = jnp.minimum(begin, idx.shape[1] - size)
+        fresh = start + jnp.arange(size, dtype=idx.dtype) >= begin
+        part = jax.lax.dynamic_slice_in_dim(idx, start, size, 1)
+        return add(sums, jnp.where(fresh[None], part, pad)), None
+
+    return jax.lax.scan(turn, sums, jnp.arange(0, idx.shape[1], size, dtype=idx.dtype))[0]
+
+
+def net_zero(n: int, dtype, paired: bool = False):
+    """Empty sums over first and over second beads, each as its parts (n,).
+
+    The parts are x, y, z; or, ``paired``, x + i y and z: a CPU adds a complex number as fast as a
+    real one.
+    """
+    z = jnp.zeros(n, dtype)
+    parts = (jax.lax.complex(z, z), z) if paired else (z, z, z)
+    return parts, parts
+
+
+def net_add(net, pairs: Pairs, along, across=None):
+    """Add ``along`` e, and ``across``, of every pair to the sums of its first and of its second
+    bead."""
+    f = tuple(along * e for e in pairs.e)
+    f = f if across is None else tuple(a + b for a, b in zip(f, across))
+    # The laws before the sums: XLA would evaluate them again for every scatter.
+    f = jax.lax.optimization_barrier(f)
+    parts = (jax.lax.complex(f[0], f[1]), f[2]) if len(net[0]) == 2 else f
+    add = lambda total, i, part: total.at[i].add(part, mode="drop", wrap_negative_indices=False)
+    return tuple(
+        tuple(add(t, i, p) for t, p in zip(totals, parts))
+        for totals, i in zip(net, (pairs.i, pairs.j))
+    )
+
+
+def net_force(net):
+    """What the pairs push each bead by (n, 3): first beads one way, second beads the other."""
+    parts = [first - second for first, second in zip(*net)]
+    x, y, z = (parts[0].real, parts[0].imag, parts[1]) if len(parts) == 2 else parts
+    return jnp.stack([x, y, z], axis=1)
+
+
+def sum_onto_beads(pairs: Pairs, along, n: int):
+    """``along`` e on the first and its opposite on the second bead of every pair; (n, 3)."""
+    return net_force(net_add(net_zero(n, along.dtype, on_cpu()), pairs, along))
+
+
+def torque_add(torque, beads: Columns, pairs: Pairs, across):
+    """Add ``arm x force`` of every pair to what turns its beads (m, 3).
+
+    The arms ``-R_i e`` and ``R_j e`` are those of the surface velocities, and the second bead feels
+    the opposite force: both get ``-R e x across``.
+    """
+    twist = jnp.stack(cross(pairs.e, across), axis=1)
+    m = torque.shape[0]
+    for slots, R in ((pairs.i, pairs.R_i), (pairs.j, pairs.R_j)):
+        row = slots - beads.rotating_from
+        row = jnp.where((row >= 0) & (row < m), row, m)
+        torque = torque.at[row].add(
+            -jnp.reshape(R, (-1, 1)) * twist, mode="drop", wrap_negative_indices=False
+        )
+    return torque
+
+
+def sum_across(pairs: Pairs, across: dict) -> dict:
+    """The virials ``sum F_ij r_ij`` of forces perpendicular to ``e``, by origin."""
+    r = jnp.where(pairs.real, pairs.r, 0.0)
+    separation = jnp.stack([r * e for e in pairs.e])
+    product = lambda f: jnp.einsum(
+        "ap,bp->ab", jnp.stack(f), separation, precision=jax.lax.Precision.HIGHEST
+    )
+    return {origin: product(f) for origin, f in across.items()}
+
+
+def sum_pairs(pairs: Pairs, energy, forces: dict):
+    """Energy and the virials ``sum r_ij F_ij`` by origin of a list, all in one matrix product."""
+    r = jnp.where(pairs.real, pairs.r, 0.0)
+    energy, along, r, e = jax.lax.optimization_barrier((energy, tuple(forces.values()), r, pairs.e))
+    upper = jnp.stack([r * e[a] * e[b] for a, b in UPPER])
+    sums = jnp.einsum("fp,vp->fv", jnp.stack(along), upper, precision=jax.lax.Precision.HIGHEST)
+    return jnp.sum(energy), {origin: symmetric(sums[k]) for k, origin in enumerate(forces)}
+
+
+def symmetric(upper):
+    """The six numbers of ``UPPER`` as a (3, 3) matrix."""
+    xx, xy, xz, yy, yz, zz = upper
+    return jnp.stack([jnp.stack([xx, xy, xz]), jnp.stack([xy, yy, yz]), jnp.stack([xz, yz, zz])])
