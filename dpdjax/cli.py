@@ -386,8 +386,8 @@ def _contacts(made, state) -> float:
     import dpdjax as dpd
     from dpdjax.model.colloids import attraction_range
 
-    spheres = dpd.spheres_of(made.fluid, state)
-    return float(dpd.contact_number(spheres, gap=attraction_range(made.fluid)).mean.value)
+    spheres = dpd.measure.spheres_of(made.fluid, state)
+    return float(dpd.measure.contact_number(spheres, gap=attraction_range(made.fluid)).mean.value)
 
 
 def _suspended_answer(result) -> str:

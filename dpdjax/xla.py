@@ -87,9 +87,9 @@ def where_needed(work):
 
     @jax.custom_batching.custom_vmap
     def single(needed, old, inputs):
-        # A loop of no or one turn: it leaves ``old`` in place, where a branch would copy it.
-        turn = lambda carry: (jnp.zeros_like(needed), work(carry[1], *inputs))
-        return jax.lax.while_loop(lambda carry: carry[0], turn, (needed, old))[1]
+        # A loop of no or one round: it leaves ``old`` in place, where a branch would copy it.
+        once = lambda carry: (jnp.zeros_like(needed), work(carry[1], *inputs))
+        return jax.lax.while_loop(lambda carry: carry[0], once, (needed, old))[1]
 
     @single.def_vmap
     def _(axis_size, in_batched, needed, old, inputs):
@@ -119,8 +119,8 @@ def one_by_one(work):
             lambda x: jax.lax.dynamic_index_in_dim(x, k, keepdims=False), tree
         )
 
-        def visit(turn, members):
-            k = order[turn]
+        def visit(place, members):
+            k = order[place]
             new = work(pick(members, k), *pick(inputs, k))
             return jax.tree.map(
                 lambda x, y: jax.lax.dynamic_update_index_in_dim(x, y, k, 0), members, new

@@ -38,7 +38,7 @@ FLOWS = {
     "at rest": lambda number: Flow(),
     "sheared": lambda number: Flow.of(dpd.shear(RATE * number)),
     "oscillated": lambda number: Flow.of(dpd.oscillatory_shear(AMPLITUDE * number, FREQUENCY)),
-    "pushed": lambda number: Flow.of(dpd.sinusoidal_force(WAVE_AMPLITUDE * number, SIDES[1])),
+    "pushed": lambda number: Flow.of(dpd.flows.sinusoidal_force(WAVE_AMPLITUDE * number, SIDES[1])),
     "driven": lambda number: Flow.of(dpd.drive(FORCE * number, TORQUE * number, species=1)),
 }
 """Each kind of flow, of a strength relative to that of a single run."""

@@ -63,17 +63,22 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
             goal=goal, state=state, keys=keys, steps=0, step_for=lambda fluid: 0.01
         )
 
-    def measure(bench, fluid, error, settle, most, report):
+    def measure(ensemble, fluid, error, settle, most, report):
         asked.append(error)
-        bench.steps += 1000
+        ensemble.steps += 1000
         exact = FLUID.value(ln_gamma(fluid))
         series = exact + 10 * error * rng.normal(size=(4, 100))
         estimate = Estimate(exact + error * rng.normal(), error)
         return experiment.Measurement(
-            estimate, series, 0.1 * np.arange(100), 0.01, float(bench.goal.flow.rate), bench.steps
+            estimate,
+            series,
+            0.1 * np.arange(100),
+            0.01,
+            float(ensemble.goal.flow.rate),
+            ensemble.steps,
         )
 
-    def measure_slopes(bench, fluid, names, windows):
+    def measure_slopes(ensemble, fluid, names, windows):
         return [sample(rng, ln_gamma(fluid), 1.0, bias).slope for _ in names]
 
     for name, function in (

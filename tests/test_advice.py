@@ -153,7 +153,7 @@ def test_caution_about_a_small_box():
 
 
 def test_caution_about_a_morse_potential_cut_short():
-    short = dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1, reach=0.25)
+    short = dpd.term(dpd.laws.morse, D0=1.2, kappa=30.0, r0=0.1, reach=0.25)
     (said,) = cautions(dpd.colloid_fluid(attraction=short))
     assert (
         "cut off at h = 0.25" in said
@@ -162,7 +162,7 @@ def test_caution_about_a_morse_potential_cut_short():
     (said,) = cautions(dpd.colloid_fluid(D0=1.2, kappa=4.0))
     assert "cut off at h = 1," in said and "reach of 1.5" in said
     for attraction in (
-        dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.1),
+        dpd.term(dpd.laws.morse, D0=1.2, kappa=30.0, r0=0.1),
         dataclasses.replace(short, cut=0.3),
     ):
         assert cautions(dpd.colloid_fluid(attraction=attraction)) == []
@@ -183,7 +183,7 @@ def test_caution_about_frames_further_apart_than_the_diffusion_time():
 
 def test_cautions_of_fluids_without_a_diffusion_time():
     """A temperature of zero, and spheres that are not the last species."""
-    squeeze = dpd.term(dpd.squeezing_lubrication, eta_0=0.3, delta=1e-3, reach=1.0)
+    squeeze = dpd.term(dpd.laws.squeezing_lubrication, eta_0=0.3, delta=1e-3, reach=1.0)
     pairs = [
         dpd.interaction((0, 0), drag=squeeze),
         dpd.interaction((1, 1), dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)),
@@ -258,6 +258,6 @@ def test_deep_overlap_is_no_well():
     """Laws of two spheres are looked at outside contact alone: far inside, a Yukawa repulsion is an
     attraction."""
     limit = lambda law: advice.dt_limits(dpd.colloid_fluid(attraction=law), (2.4, 0.05))[3][1]
-    hard = limit(dpd.term(dpd.yukawa, epsilon=0.0, kappa=8.0))
-    assert limit(dpd.term(dpd.yukawa, epsilon=2.0, kappa=2.0, reach=1.0)) <= hard < 0.01
-    assert limit(dpd.term(dpd.asakura_oosawa, phi_p=0.3, r_g=1.2)) == hard
+    hard = limit(dpd.term(dpd.laws.yukawa, epsilon=0.0, kappa=8.0))
+    assert limit(dpd.term(dpd.laws.yukawa, epsilon=2.0, kappa=2.0, reach=1.0)) <= hard < 0.01
+    assert limit(dpd.term(dpd.laws.asakura_oosawa, phi_p=0.3, r_g=1.2)) == hard

@@ -92,6 +92,22 @@ def test_public_name_lives_in_its_home(name):
     assert value.__doc__, "has a docstring"
 
 
+SPACES = {name: importlib.import_module(f"dpdjax.{name}") for name in dpdjax.NAMESPACES}
+
+
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
+def test_a_namespace_has_its_names_in_order(space):
+    assert space.__all__ == sorted(set(space.__all__), key=str.lower)
+    assert all(getattr(space, name).__doc__ for name in space.__all__ if name.islower())
+    shared = set(space.__all__) & set(dpdjax.__all__)
+    assert all(getattr(space, name) is getattr(dpdjax, name) for name in shared)
+
+
+def test_no_name_is_in_two_namespaces():
+    names = [name for space in SPACES.values() for name in space.__all__]
+    assert len(names) == len(set(names))
+
+
 def test_public_names_are_no_modules_whatever_is_imported_first():
     """Importing ``dpdjax.host.run`` sets the attribute ``run`` of the package to the module."""
     code = """
@@ -104,5 +120,11 @@ print(*[name for name in dpdjax.__all__ if inspect.ismodule(getattr(dpdjax, name
 
 
 def test_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no 'viscocity'"):
-        dpdjax.viscocity  # noqa: B018
+    for name, near in (
+        ("viscocity", "dpd.shear_viscosity"),
+        ("morse", "dpd.laws.morse"),
+        ("rdf", "dpd.measure.radial_distribution"),
+        ("Lubrication", "dpd.laws.squeezing_lubrication"),
+    ):
+        with pytest.raises(AttributeError, match=f"no '{name}'.*{near}"):
+            getattr(dpdjax, name)

@@ -173,7 +173,7 @@ def test_what_cannot_run_is_refused_before_it_runs(water, key, fresh, monkeypatc
 
 def test_fixed_step_too_long_for_the_next_drag_is_refused(ideal, key, fresh, monkeypatch):
     state = jax.tree.map(lambda leaf: leaf[None], fresh)
-    boxes = experiment.Bench(
+    boxes = experiment.Ensemble(
         ideal, pressure_goal(1.0), 3.0, state, jax.random.split(key, 1), dt=0.02
     )
     monkeypatch.setattr(experiment, "replayed", never)
@@ -203,9 +203,9 @@ def test_wrong_names(water, key):
     "observe, found",
     [
         ({"value": 1.0}, "observe is a dict"),
-        (dpd.mean(dpd.standard), "observe is a"),
-        (dpd.standard, "observe returns a dict where"),
-        (dpd.pressure_tensor, r"observe returns an array of shape \(3, 3\) where"),
+        (dpd.mean(dpd.observe.standard), "observe is a"),
+        (dpd.observe.standard, "observe returns a dict where"),
+        (dpd.observe.pressure_tensor, r"observe returns an array of shape \(3, 3\) where"),
         (lambda fluid, state: None, "observe returns a NoneType where"),
     ],
 )
@@ -214,7 +214,8 @@ def test_what_is_observed_is_one_number(water, key, fresh, monkeypatch, observe,
     monkeypatch.setattr(experiment, "replayed", never)
     monkeypatch.setattr(experiment.jax, "vmap", lambda build: lambda keys: batch)
     with pytest.raises(
-        TypeError, match=f"{found}.*give a function of one number, such as observe=dpd.temperature"
+        TypeError,
+        match=f"{found}.*give a function of one number, such as observe=dpd.observe.temperature",
     ):
         calibrate(water, target=1.0, observe=observe, key=key, dt=0.01)
 
@@ -265,7 +266,7 @@ def noisy_boxes(monkeypatch, seed, memory=0.5):
     flow = Flow.of(dpd.shear(0.3))
     goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=flow)
     state = Boxes(np.zeros((4, 10, 3)), np.zeros(4, np.uint32))
-    return experiment.Bench(None, goal, 3.0, state, None, dt=0.01)
+    return experiment.Ensemble(None, goal, 3.0, state, None, dt=0.01)
 
 
 class Boxes(NamedTuple):

@@ -27,19 +27,19 @@ def force(law, **numbers):
 
 def test_balanced_cut_makes_shells_of_equal_volume():
     for R in (0.5, 1.0, 3.0):
-        cut = dpd.balanced_cut(r_c=1.2, R_i=0.0, R_j=R)
+        cut = dpd.laws.balanced_cut(r_c=1.2, R_i=0.0, R_j=R)
         assert (R + cut) ** 3 - R**3 == pytest.approx(1.2**3)
-    assert dpd.balanced_cut(r_c=1.0, R_i=0.0, R_j=1.0) == pytest.approx(2 ** (1 / 3) - 1)
+    assert dpd.laws.balanced_cut(r_c=1.0, R_i=0.0, R_j=1.0) == pytest.approx(2 ** (1 / 3) - 1)
 
 
 def test_solvent_is_pushed_out_of_colloids_and_rubbed():
     cut = (1 + 1.5**3) ** (1 / 3) - 1.5
     h = jnp.asarray(np.linspace(-0.5, 0.9, 15) * cut)
-    push = force(dpd.balanced_repulsion, strength=2.5, r_c=1.0, **BEAD)(h)
+    push = force(dpd.laws.balanced_repulsion, strength=2.5, r_c=1.0, **BEAD)(h)
     np.testing.assert_allclose(push, 2.5 / cut * (1 - h / cut), rtol=1e-12)
     assert np.all(np.diff(push) < 0), "goes on growing inside"
     np.testing.assert_allclose(
-        dpd.balanced_drag(h, gamma=4.5, r_c=1.0, **BEAD), 4.5 * (1 - h / cut) ** 2, rtol=1e-12
+        dpd.laws.balanced_drag(h, gamma=4.5, r_c=1.0, **BEAD), 4.5 * (1 - h / cut) ** 2, rtol=1e-12
     )
 
 
@@ -48,16 +48,16 @@ def test_strength_of_the_repulsion_in_the_page_and_in_the_scripts():
     at_surface = lambda law: float(
         force(law, strength=2.5, r_c=1.0, R_i=0.0, R_j=1.0)(jnp.zeros(1))[0]
     )
-    assert at_surface(dpd.balanced_repulsion) == pytest.approx(9.62, abs=0.005)
-    assert at_surface(dpd.scripts_repulsion) == pytest.approx(1.98, abs=0.005)
-    assert at_surface(dpd.scripts_repulsion) == pytest.approx(2.5 / 2 ** (1 / 3))
+    assert at_surface(dpd.laws.balanced_repulsion) == pytest.approx(9.62, abs=0.005)
+    assert at_surface(dpd.laws.scripts_repulsion) == pytest.approx(1.98, abs=0.005)
+    assert at_surface(dpd.laws.scripts_repulsion) == pytest.approx(2.5 / 2 ** (1 / 3))
 
 
 CONTACT = {"f": 1000.0, "Delta": 1e-3, "r_c": 1.2}
 
 
 def test_contact_has_its_two_branches():
-    push = force(dpd.contact, **CONTACT)
+    push = force(dpd.laws.contact, **CONTACT)
     inside, outside = np.linspace(-0.3, 0.0, 7), np.linspace(1e-5, 9.9e-4, 9)
     np.testing.assert_allclose(push(jnp.asarray(inside)), 1000 * (1 - inside / 1.2), rtol=1e-12)
     np.testing.assert_allclose(
@@ -67,22 +67,26 @@ def test_contact_has_its_two_branches():
 
 def test_contact_is_continuous_where_its_branches_meet():
     near = 1e-10
-    for law in (lambda h: dpd.contact(h, **CONTACT), force(dpd.contact, **CONTACT)):
+    for law in (lambda h: dpd.laws.contact(h, **CONTACT), force(dpd.laws.contact, **CONTACT)):
         below, above = law(jnp.array([-near])), law(jnp.array([near]))
         np.testing.assert_allclose(below, above, rtol=1e-6)
     end = jnp.array([1e-3])
-    assert dpd.contact(end, **CONTACT)[0] == 0 and force(dpd.contact, **CONTACT)(end)[0] == 0
+    assert (
+        dpd.laws.contact(end, **CONTACT)[0] == 0 and force(dpd.laws.contact, **CONTACT)(end)[0] == 0
+    )
 
 
 def test_scaled_contact_goes_as_the_cube_of_the_mean_radius():
     h = jnp.array([-0.1, 5e-4])
-    ratio = dpd.scaled_contact(h, **CONTACT, R_i=2.0, R_j=3.0) / dpd.contact(h, **CONTACT)
+    ratio = dpd.laws.scaled_contact(h, **CONTACT, R_i=2.0, R_j=3.0) / dpd.laws.contact(h, **CONTACT)
     np.testing.assert_allclose(ratio, 2.5**3)
-    assert jnp.array_equal(dpd.scaled_contact(h, **CONTACT, **EQUAL), dpd.contact(h, **CONTACT))
+    assert jnp.array_equal(
+        dpd.laws.scaled_contact(h, **CONTACT, **EQUAL), dpd.laws.contact(h, **CONTACT)
+    )
 
 
 def test_morse_has_its_depth_place_and_curvature():
-    well = lambda h: dpd.morse(h, D0=1.2, kappa=30.0, r0=0.05)
+    well = lambda h: dpd.laws.morse(h, D0=1.2, kappa=30.0, r0=0.05)
     assert well(0.05) == -1.2
     assert jax.grad(well)(0.05) == pytest.approx(0.0, abs=1e-12)
     assert jax.grad(jax.grad(well))(0.05) == pytest.approx(2 * 1.2 * 30**2)
@@ -90,7 +94,7 @@ def test_morse_has_its_depth_place_and_curvature():
         well(H), 1.2 * (np.exp(-60 * (H - 0.05)) - 2 * np.exp(-30 * (H - 0.05))), atol=1e-14
     )
     assert well(0.05 + 3 / 30) == pytest.approx(-0.1 * 1.2, rel=0.05), "a tenth is left at 3/kappa"
-    _, reach = dpd.term(dpd.morse, D0=1.2, kappa=30.0, r0=0.05).between()
+    _, reach = dpd.term(dpd.laws.morse, D0=1.2, kappa=30.0, r0=0.05).between()
     assert reach == pytest.approx(0.05 + 0.2)
 
 
@@ -107,32 +111,32 @@ def test_depletion_is_osmotic_pressure_times_overlap(R_i, R_j):
     pressure = kT * phi_p / (4 / 3 * np.pi * r_g**3)
     for h in (0.0, 0.05, 0.2, 0.35):
         expected = -pressure * overlap(R_i + r_g, R_j + r_g, h + R_i + R_j)
-        found = dpd.asakura_oosawa(h, phi_p=phi_p, r_g=r_g, kT=kT, R_i=R_i, R_j=R_j)
+        found = dpd.laws.asakura_oosawa(h, phi_p=phi_p, r_g=r_g, kT=kT, R_i=R_i, R_j=R_j)
         assert found == pytest.approx(expected, rel=1e-6)
 
 
 def test_depletion_at_contact_and_at_its_end():
-    depletion = lambda h: dpd.asakura_oosawa(h, phi_p=0.25, r_g=0.2, kT=0.3, R_i=1.4, R_j=1.4)
+    depletion = lambda h: dpd.laws.asakura_oosawa(h, phi_p=0.25, r_g=0.2, kT=0.3, R_i=1.4, R_j=1.4)
     assert depletion(0.0) == pytest.approx(-0.3 * 0.25 * (1 + 1.5 * 1.4 / 0.2))
     assert depletion(0.4) == pytest.approx(0.0, abs=1e-12)
     assert jax.grad(depletion)(0.4) == pytest.approx(0.0, abs=1e-12)
-    assert dpd.term(dpd.asakura_oosawa, phi_p=0.25, r_g=0.2).between(kT=0.3)[1] == pytest.approx(
-        0.4
-    )
+    assert dpd.term(dpd.laws.asakura_oosawa, phi_p=0.25, r_g=0.2).between(kT=0.3)[
+        1
+    ] == pytest.approx(0.4)
 
 
 def test_yukawa_is_screened():
-    law = lambda h: dpd.yukawa(h, epsilon=-0.7, kappa=5.0, R_i=0.6, R_j=1.7)
+    law = lambda h: dpd.laws.yukawa(h, epsilon=-0.7, kappa=5.0, R_i=0.6, R_j=1.7)
     np.testing.assert_allclose(law(H), -0.7 * 2.3 / (2.3 + H) * np.exp(-5 * H), rtol=1e-13)
     assert law(0.0) == -0.7
-    assert dpd.term(dpd.yukawa, epsilon=1.0, kappa=5.0).between()[1] == pytest.approx(1.6)
+    assert dpd.term(dpd.laws.yukawa, epsilon=1.0, kappa=5.0).between()[1] == pytest.approx(1.6)
 
 
 LUBRICATION = {"eta_0": 0.3, "delta": 1e-3}
 
 
 def test_squeezing_goes_as_one_over_the_gap():
-    squeeze = lambda h: dpd.squeezing_lubrication(h, **LUBRICATION, R_i=1.4, R_j=1.4)
+    squeeze = lambda h: dpd.laws.squeezing_lubrication(h, **LUBRICATION, R_i=1.4, R_j=1.4)
     np.testing.assert_allclose(squeeze(H), 3 * np.pi * 0.3 * 1.4**2 / (2 * H), rtol=1e-13)
     closest = float(squeeze(1e-3))
     assert closest == pytest.approx(3 * np.pi * 0.3 * 1.4**2 / 2e-3)
@@ -147,12 +151,12 @@ def test_lubrication_of_unequal_spheres():
     for R, ratio in ((1.0, 1.0), (2.0, 1.27), (4.0, 2.44)):
         both = [
             law(H, **LUBRICATION, R_i=1.0, R_j=R)
-            for law in (dpd.squeezing_lubrication, dpd.unequal_lubrication)
+            for law in (dpd.laws.squeezing_lubrication, dpd.laws.unequal_lubrication)
         ]
         np.testing.assert_allclose(both[0] / both[1], ratio, atol=0.005)
-    exact = dpd.unequal_lubrication(H, **LUBRICATION, R_i=0.6, R_j=1.7)
+    exact = dpd.laws.unequal_lubrication(H, **LUBRICATION, R_i=0.6, R_j=1.7)
     np.testing.assert_allclose(exact, 6 * np.pi * 0.3 * (0.6 * 1.7 / 2.3) ** 2 / H, rtol=1e-13)
-    assert dpd.unequal_lubrication(-0.1, **LUBRICATION, **EQUAL) == pytest.approx(
+    assert dpd.laws.unequal_lubrication(-0.1, **LUBRICATION, **EQUAL) == pytest.approx(
         3 * np.pi * 0.3 / 2e-3
     )
 
@@ -164,7 +168,7 @@ COLD = ((0.01, 0.98), (0.1, 0.85), (0.5, 0.46))
 @pytest.mark.parametrize("h, coldness", COLD)
 def test_literal_noise_cools_close_pairs(h, coldness):
     numbers = dict(gamma=4.5, r_c=1.0, **LUBRICATION, **EQUAL)
-    drag, noise = dpd.literal_drag(h, **numbers), dpd.literal_noise(h, **numbers)
+    drag, noise = dpd.laws.literal_drag(h, **numbers), dpd.laws.literal_noise(h, **numbers)
     assert drag == pytest.approx(4.5 * (1 - h) ** 2 + 1.5 * np.pi * 0.3 / h)
     assert noise == pytest.approx((4.5 + 1.5 * np.pi * 0.3 / h) * (1 - h) ** 2)
     assert noise / drag == pytest.approx(coldness, abs=0.005)
@@ -172,7 +176,7 @@ def test_literal_noise_cools_close_pairs(h, coldness):
 
 def test_literal_drag_and_noise_end_in_overlap():
     numbers = dict(gamma=4.5, r_c=1.0, **LUBRICATION, **EQUAL)
-    assert dpd.literal_drag(-0.01, **numbers) == dpd.literal_noise(0.0, **numbers) == 0
+    assert dpd.laws.literal_drag(-0.01, **numbers) == dpd.laws.literal_noise(0.0, **numbers) == 0
 
 
 # Two colloids and nothing else.
@@ -219,7 +223,7 @@ def alone(conservative=(), drag=(), random=None, kT=0.0):
 
 
 def lubricated(**how):
-    return alone(drag=dpd.term(dpd.squeezing_lubrication, **LUBRICATION, reach=1.0), **how)
+    return alone(drag=dpd.term(dpd.laws.squeezing_lubrication, **LUBRICATION, reach=1.0), **how)
 
 
 def test_approach_at_fixed_gap_is_resisted_by_lubrication(colloids):
@@ -231,7 +235,7 @@ def test_approach_at_fixed_gap_is_resisted_by_lubrication(colloids):
 
 
 def test_lubrication_of_each_pair_of_sizes(colloids):
-    exact = alone(drag=dpd.term(dpd.unequal_lubrication, **LUBRICATION, reach=1.0))
+    exact = alone(drag=dpd.term(dpd.laws.unequal_lubrication, **LUBRICATION, reach=1.0))
     published, right = (
         colloids(fluid, [0.05], 1.0, (0.5, 1.0))[0] for fluid in (lubricated(), exact)
     )
@@ -240,8 +244,8 @@ def test_lubrication_of_each_pair_of_sizes(colloids):
 
 
 def test_approach_is_continuous_at_the_ends_of_contact_and_lubrication(colloids):
-    hard = dpd.term(dpd.contact, f=1000.0, Delta=2e-3, r_c=1.0)
-    fluid = alone(hard, dpd.term(dpd.squeezing_lubrication, **LUBRICATION, reach=1.0))
+    hard = dpd.term(dpd.laws.contact, f=1000.0, Delta=2e-3, r_c=1.0)
+    fluid = alone(hard, dpd.term(dpd.laws.squeezing_lubrication, **LUBRICATION, reach=1.0))
     near = 1e-9
     for place in (0.0, 1e-3, 2e-3):
         (below, above), tally = colloids(fluid, [place - near, place + near], speed=-0.2)
@@ -250,11 +254,11 @@ def test_approach_is_continuous_at_the_ends_of_contact_and_lubrication(colloids)
 
 
 ATTRACTIONS = {
-    "contact": dpd.term(dpd.contact, f=30.0, Delta=0.1, r_c=1.0, origin="contact"),
-    "scaled": dpd.term(dpd.scaled_contact, f=30.0, Delta=0.1, r_c=1.0, origin="scaled"),
-    "morse": dpd.term(dpd.morse, D0=1.2, kappa=8.0, r0=0.05, origin="morse"),
-    "depletion": dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.25, origin="depletion"),
-    "yukawa": dpd.term(dpd.yukawa, epsilon=0.7, kappa=10.0, origin="yukawa"),
+    "contact": dpd.term(dpd.laws.contact, f=30.0, Delta=0.1, r_c=1.0, origin="contact"),
+    "scaled": dpd.term(dpd.laws.scaled_contact, f=30.0, Delta=0.1, r_c=1.0, origin="scaled"),
+    "morse": dpd.term(dpd.laws.morse, D0=1.2, kappa=8.0, r0=0.05, origin="morse"),
+    "depletion": dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.25, origin="depletion"),
+    "yukawa": dpd.term(dpd.laws.yukawa, epsilon=0.7, kappa=10.0, origin="yukawa"),
 }  # fmt: skip
 
 
@@ -268,7 +272,7 @@ def test_force_is_minus_the_slope_of_the_energy_for_spheres_of_any_size(colloids
     np.testing.assert_allclose(sum(along.values()), force, rtol=1e-12)
     R = {"R_i": 0.6, "R_j": 1.4}
     depletion = jax.vmap(
-        jax.grad(lambda h: -dpd.asakura_oosawa(h, phi_p=0.2, r_g=0.25, kT=0.3, **R))
+        jax.grad(lambda h: -dpd.laws.asakura_oosawa(h, phi_p=0.2, r_g=0.25, kT=0.3, **R))
     )(jnp.asarray(gaps))
     np.testing.assert_allclose(along["depletion"], np.where(gaps < 0.5, depletion, 0), rtol=1e-9)
     np.testing.assert_allclose(along["scaled"], along["contact"], rtol=1e-12)
@@ -276,7 +280,7 @@ def test_force_is_minus_the_slope_of_the_energy_for_spheres_of_any_size(colloids
 
 def test_potentials_are_shifted_to_zero_at_their_reach(colloids):
     for reach in (0.2, 0.8):
-        fluid = alone(dpd.term(dpd.morse, D0=1.2, kappa=8.0, r0=0.05, reach=reach))
+        fluid = alone(dpd.term(dpd.laws.morse, D0=1.2, kappa=8.0, r0=0.05, reach=reach))
         energy = colloids(fluid, [0.05, reach - 1e-12, reach + 1e-12])[1].energy
         well = lambda h: 1.2 * (math.exp(-16 * (h - 0.05)) - 2 * math.exp(-8 * (h - 0.05)))
         assert energy[0] == pytest.approx(-1.2 - well(reach))
@@ -284,7 +288,7 @@ def test_potentials_are_shifted_to_zero_at_their_reach(colloids):
 
 
 def test_temperature_of_a_law_is_that_of_the_fluid(colloids):
-    fluid = alone(dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.25), kT=0.3)
+    fluid = alone(dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.25), kT=0.3)
     warm, hot = (colloids(fluid.set(kT=kT), [0.1]) for kT in (0.3, 0.9))
     assert warm[0] < 0 and hot[0] == pytest.approx(3 * warm[0])
     np.testing.assert_allclose(hot[1].energy, 3 * warm[1].energy)
@@ -294,7 +298,10 @@ def test_temperature_of_a_law_is_that_of_the_fluid(colloids):
 def test_exact_noise_is_warm_and_literal_noise_cold(h, coldness, colloids):
     """The same random number, times the root of twice kT times a friction over dt."""
     numbers = dict(gamma=4.5, r_c=1.0, **LUBRICATION)
-    drag, noise = dpd.term(dpd.literal_drag, **numbers), dpd.term(dpd.literal_noise, **numbers)
+    drag, noise = (
+        dpd.term(dpd.laws.literal_drag, **numbers),
+        dpd.term(dpd.laws.literal_noise, **numbers),
+    )
     exact, literal = (
         colloids(alone(drag=drag, random=r, kT=0.1), [h])[1].virial["random"][0, 0, 0]
         for r in (None, noise)

@@ -186,9 +186,9 @@ def test_the_gap_of_a_fluid_with_a_range():
     assert contact_number(run(kappa=2.0)).gap == pytest.approx(1.0), "cut off at r_c"
     assert contact_number(run(kappa=15.0)).series.tolist() == [[1, 0]]
     assert contact_number(run(kappa=15.0), gap=0.5).series.tolist() == [[1, 1]]
-    depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
+    depletion = dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.1)
     assert contact_number(run(attraction=depletion)).gap == pytest.approx(0.2 * (1 - 0.1**0.5))
-    charged = dpd.term(dpd.yukawa, epsilon=1.0, kappa=15.0)
+    charged = dpd.term(dpd.laws.yukawa, epsilon=1.0, kappa=15.0)
     scan = dpd.colloid_fluid(radius=0.5).set(kappa=np.array([15.0, 20.0]))
     for what in (run(attraction=charged), one_frame(apart(0.1))):
         with pytest.raises(ValueError, match="no gap is given.*give gap"):
@@ -493,7 +493,7 @@ def test_a_run_is_measured_like_its_spheres():
 
 
 def whole(fluid, state):
-    return {f"whole_{name}": x for name, x in dpd.positions(fluid, state).items()}
+    return {f"whole_{name}": x for name, x in dpd.observe.positions(fluid, state).items()}
 
 
 @pytest.mark.parametrize("rate", [0.0, 1.0])
@@ -512,7 +512,7 @@ def test_recording_one_species(simulate, key, rate):
         0.01,
         dpd.Plan(6, 5),
         dpd.shear(rate),
-        observe=(dpd.positions_of(1), whole),
+        observe=(dpd.observe.positions_of(1), whole),
     )
     assert run.final.status == 0
     for name in ("position", "unwrapped", "velocity"):
@@ -524,7 +524,9 @@ def test_recording_one_species(simulate, key, rate):
         contact_number(run, gap=0.4).series, contact_number(by_hand, gap=0.4).series
     )
     if rate == 0:
-        assert np.all(dpd.mean_squared_displacement(run, species=1, t_max=0.1).value[1:] > 0)
+        assert np.all(
+            dpd.measure.mean_squared_displacement(run, species=1, t_max=0.1).value[1:] > 0
+        )
 
 
 def test_recording_a_species_that_is_no_group(key):
@@ -533,8 +535,8 @@ def test_recording_a_species_that_is_no_group(key):
     with pytest.raises(
         ValueError, match=r"species 1 is no group.* are \(0, 1\); .*dpd.interaction\(\(1, 1\)"
     ):
-        dpd.positions_of(1)(fluid, state)
-    assert dpd.positions_of(1) is dpd.positions_of(1)
+        dpd.observe.positions_of(1)(fluid, state)
+    assert dpd.observe.positions_of(1) is dpd.observe.positions_of(1)
 
 
 def spoiled(**changes):
@@ -553,7 +555,7 @@ def spoiled(**changes):
     [
         (
             spoiled(frames={"temperature": np.ones(3)}),
-            "no 'position' but temperature; use observe=dpd.positions",
+            "no 'position' but temperature; use observe=dpd.observe.positions",
         ),
         (spoiled(flow=Flow.of(dpd.shear(0.1))), "sheared, and the tilt of the box.*record it too"),
         (spoiled(final__species=np.zeros(50, int)), "no bead is of species 1"),
@@ -754,7 +756,7 @@ def test_density_of_the_solvent_between_colloids(strain, unit):
         for pair in ((0, 0), (0, 1))
     ]
     fluid = dpd.fluid(kT=1.0, radius=(None, unit), interactions=among)
-    measured = dpd.solvent_density(fluid, state, points=4000) * unit**3
+    measured = dpd.measure.solvent_density(fluid, state, points=4000) * unit**3
     assert abs(measured - 2.0) < 4 * 2.0 / np.sqrt(2 * side**3)
     with pytest.raises(ValueError, match="smaller clearance"):
-        dpd.solvent_density(fluid, state, clearance=20.0 * unit)
+        dpd.measure.solvent_density(fluid, state, clearance=20.0 * unit)

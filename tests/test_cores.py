@@ -55,7 +55,7 @@ def test_points_next_to_spheres_with_a_law_that_diverges():
     among = [
         dpd.interaction((0, 0), drag=rubbing()),
         dpd.interaction((0, 1), dpd.term(lennard_jones, epsilon=1.0, sigma=0.3, reach=0.75)),
-        dpd.interaction((1, 1), dpd.term(dpd.contact, f=1e4, Delta=1e-3, r_c=1.0)),
+        dpd.interaction((1, 1), dpd.term(dpd.laws.contact, f=1e4, Delta=1e-3, r_c=1.0)),
     ]
     points, spheres = start_radii(
         dpd.fluid(interactions=among, kT=1.0, mass=[1.0, 12.0], radius=(None, 1.0))
@@ -94,7 +94,7 @@ def test_marbles_start_outside_a_wide_wall():
     gap = closest(dpd.marble_fluid(radius=1.0, r_0=0.5))[0, 1]
     assert 0.3 < gap < 0.5
     assert (
-        float(dpd.shifted_repulsion(gap, epsilon=1.0, sigma=1.0, r_0=0.5, R_i=0.0, R_j=1.0))
+        float(dpd.laws.shifted_repulsion(gap, epsilon=1.0, sigma=1.0, r_0=0.5, R_i=0.0, R_j=1.0))
         <= START_ENERGY
     )
     assert closest(dpd.marble_fluid())[0, 1] == 0

@@ -150,11 +150,11 @@ def test_dt_too_large_for_the_repulsion(water, fresh, key):
 def test_body_force_that_jumps_at_the_faces(water, fresh, key):
     side = float(fresh.box.lengths[1])
     with refused(ValueError, "body force is not periodic along y"):
-        dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.sinusoidal_force(0.1, 0.9 * side))
+        dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.flows.sinusoidal_force(0.1, 0.9 * side))
     with refused(ValueError, "body force is not periodic along y", "0.5 waves", "waves="):
-        dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.sinusoidal_force(0.1, 2 * side))
-    dpd.sinusoidal_force(0.1, side, waves=2).check(water, fresh)
-    dpd.body_force(dpd.constant_field, acceleration=[1.0, 0.0, 0.0]).check(water, fresh)
+        dpd.simulate(water, fresh, key, 0.01, PLAN, dpd.flows.sinusoidal_force(0.1, 2 * side))
+    dpd.flows.sinusoidal_force(0.1, side, waves=2).check(water, fresh)
+    dpd.flows.body_force(dpd.flows.constant_field, acceleration=[1.0, 0.0, 0.0]).check(water, fresh)
 
 
 def along_x(profile):
@@ -166,7 +166,7 @@ def along_x(profile):
 
 def test_body_forces_are_judged_inside_the_box(water, fresh):
     side = float(fresh.box.lengths[1])
-    check = lambda profile, state=fresh, **how: dpd.body_force(along_x(profile), **how).check(
+    check = lambda profile, state=fresh, **how: dpd.flows.body_force(along_x(profile), **how).check(
         water, state
     )
     for axis in range(3):
@@ -188,7 +188,7 @@ def test_body_forces_are_judged_inside_the_box(water, fresh):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Own(dpd.Deformation):
+class Own(dpd.flows.Deformation):
     """A deformation as a user writes one."""
 
     rate: object
@@ -196,7 +196,7 @@ class Own(dpd.Deformation):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Push(dpd.Driver):
+class Push(dpd.flows.Driver):
     """A driver as a user writes one."""
 
     push: object = None
@@ -205,7 +205,7 @@ class Push(dpd.Driver):
         return self.push
 
 
-class Bare(dpd.Driver):
+class Bare(dpd.flows.Driver):
     """One that was not registered."""
 
 
@@ -215,7 +215,7 @@ def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
         with refused(ValueError, "sheared=False"):
             dpd.simulate(water, still, key, 0.01, PLAN, flow)
         assert flow.deforms and flow.is_steady == (flow.frequency is None)
-    for flow in (dpd.drive(1.0), dpd.sinusoidal_force(1.0, 5.0), None):
+    for flow in (dpd.drive(1.0), dpd.flows.sinusoidal_force(1.0, 5.0), None):
         assert not Flow.of(flow).deforms
     tilted = dataclasses.replace(still, box=dataclasses.replace(still.box, strain=jnp.asarray(0.3)))
     with refused(ValueError, "sheared=False"):
@@ -225,12 +225,12 @@ def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
         (Own(jnp.ones(3)), ValueError, "the rate of Own has shape (3,)", "batch_axes()"),
         (Push(x[:, 0]), ValueError, "the force of Push has shape", "is wanted"),
         (Push(x.at[3].set(jnp.nan)), ValueError, "the force of Push is not finite"),
-        (object.__new__(dpd.Deformation), TypeError, "Deformation has no rate"),
+        (object.__new__(dpd.flows.Deformation), TypeError, "Deformation has no rate"),
     ]
     for flow, kind, *parts in wrong:
         with refused(kind, *parts):
             flow.check(water, fresh)
-    with refused(TypeError, "derived from dpd.Deformation or dpd.Driver"):
+    with refused(TypeError, "derived from dpd.flows.Deformation or dpd.flows.Driver"):
         dpd.simulate(water, fresh, key, 0.01, PLAN, object())
     with refused(TypeError, "Bare is not registered", "register_dataclass"):
         dpd.simulate(water, fresh, key, 0.01, PLAN, Bare())
@@ -271,21 +271,21 @@ def test_names_that_are_recorded_twice(water, fresh, key):
         lambda s: dpd.simulate(water, s, key, 0.01, PLAN, observe=observe), fresh
     )
     with refused(ValueError, "'temperature' is recorded by standard and by temperature"):
-        record(dpd.standard, temperature)
+        record(dpd.observe.standard, temperature)
     with refused(ValueError, "'momentum' is recorded by momentum and by mean(momentum)"):
-        record(dpd.momentum, dpd.mean(dpd.momentum))
+        record(dpd.observe.momentum, dpd.mean(dpd.observe.momentum))
     with refused(ValueError, "'time' is recorded by every frame and by clock"):
         record(clock)
     with refused(ValueError, "'wave_velocity' is recorded by"):
-        record(dpd.sine_record(1), dpd.sine_record(2))
-    record(dpd.standard, dpd.standard, dpd.temperature)
-    record(dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses), dpd.mean(dpd.standard))
+        record(dpd.observe.wave_of(1), dpd.observe.wave_of(2))
+    record(dpd.observe.standard, dpd.observe.standard, dpd.observe.temperature)
+    record(dpd.observe.shear_record, dpd.mean(dpd.observe.stresses), dpd.mean(dpd.observe.standard))
 
 
 def test_names_that_are_not_there():
     names = {
-        "rdf": "dpd.radial_distribution",
-        "msd": "dpd.mean_squared_displacement",
+        "rdf": "dpd.measure.radial_distribution",
+        "msd": "dpd.measure.mean_squared_displacement",
         "shear_visc": "dpd.shear_viscosity",
     }
     for name, near in names.items():
@@ -388,7 +388,12 @@ def test_laws_in_the_other_place():
 
 
 @pytest.mark.parametrize(
-    "declare", [dpd.bounded(gama="positive"), dpd.proportional_to("gama"), dpd.of_viscosity("gama")]
+    "declare",
+    [
+        dpd.laws.bounded(gama="positive"),
+        dpd.laws.proportional_to("gama"),
+        dpd.laws.of_viscosity("gama"),
+    ],
 )
 def test_declarations_of_what_a_law_does_not_take(declare):
     @declare
@@ -416,7 +421,7 @@ def test_positions_that_leave_most_of_the_box_empty_are_told(fresh):
     with pytest.warns(
         UserWarning, match="the positions span .* of a box of .* give the box they are in"
     ):
-        dpd.radial_distribution(fresh.position, box=2 * side)
+        dpd.measure.radial_distribution(fresh.position, box=2 * side)
 
 
 def test_names_of_other_programs():

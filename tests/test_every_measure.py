@@ -68,14 +68,16 @@ def level_of(values, error):
 
 def bonded(run):
     """Contacts of a sphere, from the pairs that are bonded in each frame."""
-    members = dpd.bonded_pairs(run, gap=0.5, forms=1.0)
+    members = dpd.measure.bonded_pairs(run, gap=0.5, forms=1.0)
     return average(
         np.array([[2 * len(pairs) / runs.SPHERES for pairs in member] for member in members])
     )
 
 
 def displacement(run, axes):
-    return curve_at(dpd.mean_squared_displacement(run, t_max=1.0, axes=axes), -1, 2.0 * len(axes))
+    return curve_at(
+        dpd.measure.mean_squared_displacement(run, t_max=1.0, axes=axes), -1, 2.0 * len(axes)
+    )
 
 
 def structure(measure, **numbers):
@@ -91,26 +93,38 @@ def structure(measure, **numbers):
 AT_REST = "of a fluid in equilibrium.*run it without a flow"
 CASES = {
     "shear_viscosity": Case(
-        dpd.shear_viscosity, VISCOSITY, STEADY, r"run it with flow=dpd.shear|use dpd.moduli", True
+        dpd.shear_viscosity,
+        VISCOSITY,
+        STEADY,
+        r"run it with flow=dpd.shear|use dpd.measure.moduli",
+        True,
     ),
     "green_kubo": Case(
-        lambda run: dpd.green_kubo(run, window=0.5), VISCOSITY, RESTED, AT_REST, True
+        lambda run: dpd.measure.green_kubo(run, window=0.5), VISCOSITY, RESTED, AT_REST, True
     ),
     "einstein_helfand": Case(
-        lambda run: dpd.einstein_helfand(run, window=0.5), VISCOSITY, RESTED, AT_REST, True
+        lambda run: dpd.measure.einstein_helfand(run, window=0.5), VISCOSITY, RESTED, AT_REST, True
     ),
     "sinusoidal_viscosity": Case(
-        dpd.sinusoidal_viscosity, VISCOSITY, WAVED, r"run it with flow=dpd.sinusoidal_force", True
+        dpd.measure.sinusoidal_viscosity,
+        VISCOSITY,
+        WAVED,
+        r"run it with flow=dpd.flows.sinusoidal_force",
+        True,
     ),
     "moduli, storage": Case(
-        lambda run: dpd.moduli(run).storage,
+        lambda run: dpd.measure.moduli(run).storage,
         STORAGE,
         ("oscillated",),
         "need.*dpd.oscillatory_shear",
         True,
     ),
     "moduli, loss": Case(
-        lambda run: dpd.moduli(run).loss, LOSS, ("oscillated",), "need.*dpd.oscillatory_shear", True
+        lambda run: dpd.measure.moduli(run).loss,
+        LOSS,
+        ("oscillated",),
+        "need.*dpd.oscillatory_shear",
+        True,
     ),
     "mean_squared_displacement": Case(
         lambda run: displacement(run, "xyz"), WITHOUT_DRIFT, settled=True
@@ -119,7 +133,7 @@ CASES = {
         lambda run: displacement(run, "yz"), WITHOUT_DRIFT, settled=True
     ),
     "velocity_autocorrelation": Case(
-        lambda run: curve_at(dpd.velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),
+        lambda run: curve_at(dpd.measure.velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),
         WITHOUT_DRIFT,
         settled=True,
     ),
@@ -130,22 +144,25 @@ CASES = {
     "diffusion, vacf": Case(
         lambda run: dpd.diffusion(run, fit=FIT, method="vacf"), WITHOUT_DRIFT, settled=True
     ),
-    "radial_distribution": Case(structure(dpd.radial_distribution, bins=20), 1.0),
+    "radial_distribution": Case(structure(dpd.measure.radial_distribution, bins=20), 1.0),
     "partial_distribution": Case(
-        structure(dpd.partial_distribution, species_a=0, species_b=1, bins=20), 1.0
+        structure(dpd.measure.partial_distribution, species_a=0, species_b=1, bins=20), 1.0
     ),
     "pair_distribution": Case(
-        structure(dpd.pair_distribution, bins=20, h_min=-2 * runs.RADIUS), 1.0
+        structure(dpd.measure.pair_distribution, bins=20, h_min=-2 * runs.RADIUS), 1.0
     ),
-    "structure_factor": Case(structure(dpd.structure_factor, q_max=3.0, bins=10), 1.0),
-    "contact_number": Case(lambda run: dpd.contact_number(run, gap=0.5).mean, CONTACTS),
-    "clusters": Case(lambda run: dpd.clusters(run, gap=0.01).average("mean_size"), CLUSTER),
+    "structure_factor": Case(structure(dpd.measure.structure_factor, q_max=3.0, bins=10), 1.0),
+    "contact_number": Case(lambda run: dpd.measure.contact_number(run, gap=0.5).mean, CONTACTS),
+    "clusters": Case(lambda run: dpd.measure.clusters(run, gap=0.01).average("mean_size"), CLUSTER),
     "contact_bonds": Case(
-        lambda run: dpd.contact_bonds(run, gap=0.5, forms=1.0, t_max=0.2).per_colloid, CONTACTS
+        lambda run: dpd.measure.contact_bonds(run, gap=0.5, forms=1.0, t_max=0.2).per_colloid,
+        CONTACTS,
     ),
     "bonded_pairs": Case(bonded, CONTACTS),
     "angular_velocity_autocorrelation": Case(
-        lambda run: curve_at(dpd.angular_velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),
+        lambda run: curve_at(
+            dpd.measure.angular_velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE
+        ),
         ROTATION,
         UNSHEARED,
         "run without a flow",
@@ -153,7 +170,7 @@ CASES = {
     ),
     "orientation_correlation": Case(
         lambda run: curve_at(
-            dpd.orientation_correlation(run, t_max=1.0),
+            dpd.measure.orientation_correlation(run, t_max=1.0),
             -1,
             np.exp(-2 * ROTATION * (1.0 - HEAD_START)) / ROTATION,
         ),
@@ -163,28 +180,28 @@ CASES = {
         True,
     ),
     "rotational_diffusion": Case(
-        lambda run: dpd.rotational_diffusion(run, fit=FIT),
+        lambda run: dpd.measure.rotational_diffusion(run, fit=FIT),
         ROTATION,
         UNSHEARED,
         "run without a flow",
         True,
     ),
     "rotational_diffusion, vacf": Case(
-        lambda run: dpd.rotational_diffusion(run, fit=FIT, method="vacf"),
+        lambda run: dpd.measure.rotational_diffusion(run, fit=FIT, method="vacf"),
         ROTATION,
         UNSHEARED,
         "run without a flow",
         True,
     ),
     "driven_diffusion": Case(
-        lambda run: dpd.driven_diffusion(run).diffusion,
+        lambda run: dpd.measure.driven_diffusion(run).diffusion,
         DIFFUSION,
         ("driven",),
         r"run it with flow=dpd.drive\(force",
         True,
     ),
     "driven_rotation": Case(
-        lambda run: dpd.driven_rotation(run).diffusion,
+        lambda run: dpd.measure.driven_rotation(run).diffusion,
         ROTATION,
         ("driven",),
         r"run it with flow=dpd.drive\(torque",

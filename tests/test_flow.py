@@ -14,7 +14,7 @@ from dpdjax.engine.flow import Flow
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Walls(dpd.Driver):
+class Walls(dpd.flows.Driver):
     """Two soft walls at the faces z = 0 and z = L of a box, each a half-harmonic push."""
 
     stiffness: Any
@@ -69,7 +69,7 @@ def test_a_scan_over_the_numbers_of_one_part(water, sheared_water, key):
 
 
 def test_drivers_add_up(water, fresh):
-    wave, walls = dpd.sinusoidal_force(0.3, float(fresh.box.lengths[1])), Walls(50.0, 0.4)
+    wave, walls = dpd.flows.sinusoidal_force(0.3, float(fresh.box.lengths[1])), Walls(50.0, 0.4)
     mass = jnp.ones((fresh.n, 1))
     both = Flow.of([wave, walls]).force(fresh, mass)
     np.testing.assert_allclose(both, wave.force(fresh, mass) + walls.force(fresh, mass))
@@ -78,15 +78,17 @@ def test_drivers_add_up(water, fresh):
 
 def test_what_measures_want_is_found_among_the_parts(water, fresh, key):
     """A wave beside a shear is no wave at rest, and a drive beside a shear no drive."""
-    wave = dpd.sinusoidal_force(0.3, float(fresh.box.lengths[1]))
-    how = dict(observe=[dpd.sine_record(), dpd.positions], progress=False)
+    wave = dpd.flows.sinusoidal_force(0.3, float(fresh.box.lengths[1]))
+    how = dict(observe=[dpd.observe.wave_of(), dpd.observe.positions], progress=False)
     both = dpd.run(water, fresh, key, 0.01, PLAN, [wave, dpd.shear(0.2)], **how)
     with pytest.raises(ValueError, match="sheared, and the wave without the shear is unknown"):
-        dpd.sinusoidal_viscosity(both)
+        dpd.measure.sinusoidal_viscosity(both)
     with pytest.raises(ValueError, match="2 drivers of this run are a Wave"):
-        dpd.sinusoidal_viscosity(dpd.run(water, fresh, key, 0.01, PLAN, [wave, wave], **how))
+        dpd.measure.sinusoidal_viscosity(
+            dpd.run(water, fresh, key, 0.01, PLAN, [wave, wave], **how)
+        )
     with pytest.raises(ValueError, match="equilibrium, and this run was sheared"):
-        dpd.green_kubo(both, window=0.1)
+        dpd.measure.green_kubo(both, window=0.1)
     pulled = [dpd.drive(1.0, species=0), dpd.shear(0.2)]
     with pytest.raises(ValueError, match="sheared, and the drift without the flow is unknown"):
-        dpd.driven_diffusion(dpd.run(water, fresh, key, 0.01, PLAN, pulled, **how))
+        dpd.measure.driven_diffusion(dpd.run(water, fresh, key, 0.01, PLAN, pulled, **how))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.engine.observables import drag_pressure
 from dpdjax.pairs import box as boxes
 from dpdjax.pairs.forces import pair_force
 from dpdjax.prepare.start import placed, plan_lists
@@ -222,14 +221,14 @@ def test_reaches_are_between_centres_of_the_largest_beads(colloids):
     np.testing.assert_allclose(colloids.reaches((1.0, 1.3)), [1.0, (1 + 1.3**3) ** (1 / 3), 3.6])
     assert mixture(radius=(None, 0.2, 0.5)).reaches() == (1.4, 2.2)
     depletion = dpd.colloid_fluid(
-        **NUMBERS, attraction=dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
+        **NUMBERS, attraction=dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.1)
     )
     assert depletion.set(r_g=jnp.array([0.1, 0.7])).reaches()[2] == pytest.approx(3.4), (
         "of a scan the farthest"
     )
 
 
-@dpd.reaches(lambda *, width, R_i, R_j: width * (R_i + R_j))
+@dpd.laws.reaches(lambda *, width, R_i, R_j: width * (R_i + R_j))
 def shell(h, *, k, kT):
     return k * kT * h**2
 
@@ -300,24 +299,24 @@ def laws_of(terms):
 
 def test_other_laws_by_name():
     laws = dict(
-        solvent_repulsion=dpd.scripts_repulsion,
-        contact=dpd.scaled_contact,
-        lubrication=dpd.unequal_lubrication,
+        solvent_repulsion=dpd.laws.scripts_repulsion,
+        contact=dpd.laws.scaled_contact,
+        lubrication=dpd.laws.unequal_lubrication,
     )
     _, mixed, pairs = dpd.colloid_fluid(**NUMBERS, **laws).interactions
-    assert laws_of(mixed.conservative) == [dpd.scripts_repulsion]
-    assert laws_of(pairs.conservative) == [dpd.scaled_contact, dpd.morse]
-    assert laws_of(pairs.drag) == [dpd.central_drag, dpd.unequal_lubrication]
+    assert laws_of(mixed.conservative) == [dpd.laws.scripts_repulsion]
+    assert laws_of(pairs.conservative) == [dpd.laws.scaled_contact, dpd.laws.morse]
+    assert laws_of(pairs.drag) == [dpd.central_drag, dpd.laws.unequal_lubrication]
 
 
 def test_an_attraction_is_a_term_and_the_only_one():
-    depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
+    depletion = dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.1)
     with pytest.warns(
         UserWarning, match="D0 is 1.2, the depth of the Morse attraction, and not used"
     ):
         dpd.colloid_fluid(D0=1.2, attraction=depletion)
     with pytest.raises(TypeError, match=r"asakura_oosawa is not a term; write dpd.term\(law"):
-        dpd.colloid_fluid(attraction=dpd.asakura_oosawa)
+        dpd.colloid_fluid(attraction=dpd.laws.asakura_oosawa)
     with pytest.raises(
         TypeError,
         match=r"'depth'; it takes none: coefficients come after a star, def law\(h, \*, ...\)",
@@ -328,7 +327,7 @@ def test_an_attraction_is_a_term_and_the_only_one():
 def test_spheres_start_apart_and_points_outside():
     among = [
         dpd.interaction((0, 0), soft()),
-        dpd.interaction((0, 1), dpd.term(dpd.balanced_repulsion, strength=2.5, r_c=1.0)),
+        dpd.interaction((0, 1), dpd.term(dpd.laws.balanced_repulsion, strength=2.5, r_c=1.0)),
         dpd.interaction((1, 1), soft()),
     ]
     fluid = dpd.fluid(interactions=among, kT=0.1, mass=[1.0, 12.0], radius=(None, 1.0))
@@ -345,12 +344,12 @@ def test_spheres_start_apart_and_points_outside():
 
 
 def test_other_attractions():
-    depletion = dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1)
-    repulsion = dpd.term(dpd.yukawa, epsilon=1.0, kappa=5.0, origin="charge")
+    depletion = dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.1)
+    repulsion = dpd.term(dpd.laws.yukawa, epsilon=1.0, kappa=5.0, origin="charge")
     of_pairs = lambda attraction: (
         dpd.colloid_fluid(**NUMBERS, attraction=attraction).interactions[2].conservative[1:]
     )
-    assert laws_of(of_pairs(depletion)) == [dpd.asakura_oosawa]
+    assert laws_of(of_pairs(depletion)) == [dpd.laws.asakura_oosawa]
     assert [t.origin for t in of_pairs([depletion, repulsion])] == ["colloid", "charge"]
     assert of_pairs([]) == ()
 
@@ -360,8 +359,8 @@ def test_literal_noise_by_name():
         dpd.colloid_fluid(**NUMBERS, noise=noise).interactions for noise in ("exact", "literal")
     )
     assert exact[2].random is None
-    assert laws_of(literal[2].drag) == [dpd.literal_drag] and laws_of(literal[2].random) == [
-        dpd.literal_noise
+    assert laws_of(literal[2].drag) == [dpd.laws.literal_drag] and laws_of(literal[2].random) == [
+        dpd.laws.literal_noise
     ]
     assert literal[2].drag[0].coefficients == {
         "gamma": 4.5,
@@ -395,14 +394,14 @@ def test_colloids_that_cannot_be(wrong, parts):
 
 def test_diffusion_time_of_the_page(colloids):
     """R 1, kT 0.1, eta 0.3: 56.5."""
-    assert float(dpd.diffusion_time(colloids)) == pytest.approx(56.5, abs=0.1)
-    assert dpd.diffusion_time(dpd.colloid_fluid(**NUMBERS, radius=2.0)) == pytest.approx(
+    assert float(dpd.theory.diffusion_time(colloids)) == pytest.approx(56.5, abs=0.1)
+    assert dpd.theory.diffusion_time(dpd.colloid_fluid(**NUMBERS, radius=2.0)) == pytest.approx(
         8 * 6 * math.pi * 3
     )
     with refused(TypeError, "no radius"):
-        dpd.diffusion_time(dpd.fluid([soft()], kT=1.0))
+        dpd.theory.diffusion_time(dpd.fluid([soft()], kT=1.0))
     with refused(TypeError, "'eta_0'"):
-        dpd.diffusion_time(dpd.fluid([soft()], kT=1.0, radius=(1.0,)))
+        dpd.theory.diffusion_time(dpd.fluid([soft()], kT=1.0, radius=(1.0,)))
 
 
 def test_colloids_of_traced_numbers(colloids):
@@ -483,6 +482,15 @@ def test_the_static_pressure_has_every_potential_and_the_drag_every_friction(col
         species=jnp.array([0, 1]),
         size=jnp.ones(2),
     )
-    np.testing.assert_allclose(dpd.static_pressure(colloids, state), 1 + 1e3 + 1e4)
-    np.testing.assert_allclose(drag_pressure(colloids, state), 10 + 1e5)
-    np.testing.assert_allclose(dpd.pressure_tensor(colloids, state), 11011 + 1e5)
+    pressure = dpd.observe.pressure_tensor
+    np.testing.assert_allclose(
+        pressure(colloids, state, ("kinetic", "conservative")), 1 + 1e3 + 1e4
+    )
+    np.testing.assert_allclose(pressure(colloids, state, ("drag",)), 10 + 1e5)
+    np.testing.assert_allclose(pressure(colloids, state), 11011 + 1e5)
+    everything = ("kinetic", "conservative", "drag", "random")
+    np.testing.assert_allclose(pressure(colloids, state, everything), 111111)
+    with pytest.raises(
+        ValueError, match="parts has 'contact'; they are kinetic, conservative, drag"
+    ):
+        pressure(colloids, state, ("contact",))

@@ -11,6 +11,7 @@ import pytest
 import dpdjax as dpd
 from dpdjax.host.cautions import deep_wells
 from dpdjax.model.colloids import solvent_viscosity
+from dpdjax.prepare.suspension import Suspension
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def test_terms_that_disagree_are_not_decided_by_the_first(colloids):
 
 
 def test_a_viscosity_is_declared_and_one(colloids):
-    @dpd.of_viscosity("eta")
+    @dpd.laws.of_viscosity("eta")
     def squeeze(h, *, eta):
         return eta / h
 
@@ -52,7 +53,7 @@ def test_a_viscosity_is_declared_and_one(colloids):
         kT=1.0,
         radius=(1.0,),
     )
-    assert float(dpd.diffusion_time(mine)) == pytest.approx(6 * np.pi * 0.7)
+    assert float(dpd.theory.diffusion_time(mine)) == pytest.approx(6 * np.pi * 0.7)
 
 
 def test_a_new_temperature_keeps_or_scales_energies_as_said(water, colloids):
@@ -69,7 +70,7 @@ def test_a_new_temperature_keeps_or_scales_energies_as_said(water, colloids):
     )
     traced = jax.jit(jax.vmap(lambda kT: water.set(kT=kT, energies="scale").value("a")))
     np.testing.assert_allclose(traced(jnp.array([1.0, 0.1])), [25.0, 2.5])
-    depletion = dpd.colloid_fluid(attraction=dpd.term(dpd.asakura_oosawa, phi_p=0.2, r_g=0.1))
+    depletion = dpd.colloid_fluid(attraction=dpd.term(dpd.laws.asakura_oosawa, phi_p=0.2, r_g=0.1))
     assert float(depletion.set(kT=0.2, energies="scale").value("phi_p")) == pytest.approx(0.2), (
         "its energy is kT's already"
     )
@@ -129,7 +130,7 @@ def test_a_suspension_tells_its_energies_in_kT():
         size=np.ones(2),
         n=2,
     )
-    made = dpd.Suspension(dpd.colloid_fluid(kT=0.1, D0=8.0), state, 0.1, 56.5, 1e-3)
+    made = Suspension(dpd.colloid_fluid(kT=0.1, D0=8.0), state, 0.1, 56.5, 1e-3)
     assert (
         "between colloids: contact 2.5 kT at contact; morse -80 kT at contact, 80 kT deep at h = 0"
         in str(made)

@@ -115,7 +115,7 @@ def test_scaling_all_energies_scales_every_stress(water, sheared_water, key, ten
             sheared_water.restarted(), velocity=sheared_water.velocity * root
         )
         return dpd.simulate(
-            fluid, state, key, 0.01 / root, ten, dpd.shear(root), observe=dpd.stresses
+            fluid, state, key, 0.01 / root, ten, dpd.shear(root), observe=dpd.observe.stresses
         ).frames
 
     both = jax.jit(lambda scale: jax.jvp(stresses, (scale,), (jnp.ones_like(scale),)))

@@ -21,7 +21,7 @@ from dpdjax.prepare.start import placed, plan_lists
 SIDES, DT = np.array([5.0, 4.5, 6.0]), 0.002
 FLOW, PLAN = dpd.shear(1.0), dpd.Plan(8, 40)
 RADIUS, MASSES, COUNTS = 0.3, [1.0, 5.0], (100, 8)
-RECORDS = [dpd.standard, dpd.gsd_record]
+RECORDS = [dpd.observe.standard, dpd.observe.gsd_record]
 pytestmark = pytest.mark.filterwarnings("ignore:box side")
 host = sys.modules[dpd.stream.__module__]
 
@@ -159,7 +159,9 @@ def test_rotation_is_written_as_hoomd_means_it(key, tmp_path):
     made = dpd.marbles(key, box=6.0, radius=1.5, density=1.0, skin=0.2, dt=0.005, report=None)
     how = made.fluid, made.state, key, 0.005, dpd.Plan(4, 50), dpd.drive(torque=(0.0, 30.0, 20.0))
     ran = dpd.run_to_gsd(tmp_path / "turning.gsd", *how, piece=2, progress=False)
-    dpd.write_gsd(tmp_path / "memory.gsd", dpd.run(*how, observe=dpd.gsd_record, progress=False))
+    dpd.write_gsd(
+        tmp_path / "memory.gsd", dpd.run(*how, observe=dpd.observe.gsd_record, progress=False)
+    )
     inertia = float(made.fluid.value("inertia"))
     product = lambda a, b: np.array(
         [a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))]
@@ -398,7 +400,9 @@ def test_what_cannot_be_written(fluid, state, key, run, tmp_path):
         {k: v for k, v in run.frames.items() if k not in ("image", "strain")},
         System.of(fluid, DT, FLOW),
     )
-    with pytest.raises(ValueError, match="recorded no image, strain; use observe=dpd.gsd_record"):
+    with pytest.raises(
+        ValueError, match="recorded no image, strain; use observe=dpd.observe.gsd_record"
+    ):
         dpd.write_gsd(kept, blind)
 
 

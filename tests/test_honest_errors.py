@@ -44,13 +44,13 @@ class Stress:
 def measure(monkeypatch):
     """``measure(seed, error)`` of synthetic stresses."""
 
-    def extended(bench, fluid, dt):
-        bench.steps += experiment.PIECE.steps * bench.beads
-        return bench.stress.frames(experiment.PIECE.frames)
+    def extended(ensemble, fluid, dt):
+        ensemble.steps += experiment.PIECE.steps * ensemble.beads
+        return ensemble.stress.frames(experiment.PIECE.frames)
 
     def measured(seed, error, fluid=None):
         goal = SimpleNamespace(name="viscosity", scale=1.0, flow=SimpleNamespace(rate=0.25))
-        boxes = experiment.Bench(
+        boxes = experiment.Ensemble(
             None, goal, 3.0, SimpleNamespace(position=np.zeros((2, 10, 3))), None, dt=0.01
         )
         boxes.stress = Stress(seed)
@@ -89,8 +89,8 @@ def test_length_is_planned():
 def test_warm_flows_are_told(measure, monkeypatch):
     """6 % above kT was an answer without a word."""
     extended = experiment._extend
-    warm = lambda bench, fluid, dt: (
-        extended(bench, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
+    warm = lambda ensemble, fluid, dt: (
+        extended(ensemble, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
     )
     monkeypatch.setattr(experiment, "_extend", warm)
     with pytest.warns(

@@ -24,24 +24,28 @@ WATER = dict(kT=1.0, viscosity=1.23)
 
 def test_diffusion_of_the_published_marble():
     """R = 3, L = 20: 0.00846 without slip, 0.01545 with full slip."""
-    assert dpd.sphere_diffusion(**WATER, radius=3.0, box=20.0) == pytest.approx(0.00846, abs=5e-6)
-    assert dpd.sphere_diffusion(
+    assert dpd.theory.sphere_diffusion(**WATER, radius=3.0, box=20.0) == pytest.approx(
+        0.00846, abs=5e-6
+    )
+    assert dpd.theory.sphere_diffusion(
         **WATER, radius=3.0, box=20.0, slip_length=math.inf
     ) == pytest.approx(0.01545, abs=5e-6)
 
 
 def test_a_sphere_alone():
-    assert dpd.sphere_diffusion(**WATER, radius=2.0) == pytest.approx(1 / (6 * math.pi * 1.23 * 2))
-    assert dpd.sphere_diffusion(**WATER, radius=2.0, slip_length=math.inf) == pytest.approx(
+    assert dpd.theory.sphere_diffusion(**WATER, radius=2.0) == pytest.approx(
+        1 / (6 * math.pi * 1.23 * 2)
+    )
+    assert dpd.theory.sphere_diffusion(**WATER, radius=2.0, slip_length=math.inf) == pytest.approx(
         1 / (4 * math.pi * 1.23 * 2)
     )
-    slipping = dpd.sphere_diffusion(**WATER, radius=2.0, slip_length=1e9)
+    slipping = dpd.theory.sphere_diffusion(**WATER, radius=2.0, slip_length=1e9)
     assert slipping == pytest.approx(1 / (4 * math.pi * 1.23 * 2))
-    assert dpd.sphere_rotational_diffusion(**WATER, radius=2.0) == pytest.approx(
+    assert dpd.theory.sphere_rotational_diffusion(**WATER, radius=2.0) == pytest.approx(
         1 / (8 * math.pi * 1.23 * 8)
     )
     ratio = (
-        dpd.sphere_rotational_diffusion(**WATER, radius=2.0, slip_length=1.0)
+        dpd.theory.sphere_rotational_diffusion(**WATER, radius=2.0, slip_length=1.0)
         * 8
         * math.pi
         * 1.23
@@ -52,7 +56,7 @@ def test_a_sphere_alone():
 
 def test_slip_goes_from_none_to_full():
     D = [
-        dpd.sphere_diffusion(**WATER, radius=3.0, box=20.0, slip_length=b)
+        dpd.theory.sphere_diffusion(**WATER, radius=3.0, box=20.0, slip_length=b)
         for b in (0.0, 0.1, 1.0, 10.0, math.inf)
     ]
     assert np.all(np.diff(D) > 0)
@@ -65,50 +69,50 @@ def test_periodic_tails_by_brute_force(power):
     square = square[square > 0]
     for t in (0.2, 3.0):
         decay = square**power * np.exp(-1.23 / 3.0 * square * t)
-        tail = (dpd.velocity_tail, dpd.angular_velocity_tail)[power](
+        tail = (dpd.theory.velocity_tail, dpd.theory.angular_velocity_tail)[power](
             t, **WATER, density=3.0, box=7.0
         )
         assert tail == pytest.approx((2, 0.5)[power] / (3.0 * 7.0**3) * decay.sum())
 
 
-@pytest.mark.parametrize("tail", [dpd.velocity_tail, dpd.angular_velocity_tail])
+@pytest.mark.parametrize("tail", [dpd.theory.velocity_tail, dpd.theory.angular_velocity_tail])
 def test_periodic_tails_begin_as_free_ones_and_end_sooner(tail):
     t = np.array([1.0, 600.0])
     free, periodic = tail(t, **WATER, density=3.0), tail(t, **WATER, density=3.0, box=60.0)
     assert periodic[0] == pytest.approx(free[0], rel=1e-3) and periodic[1] < 0.99 * free[1]
     assert tail(4.0, **WATER, density=3.0) / tail(1.0, **WATER, density=3.0) == pytest.approx(
-        4 ** (-1.5 if tail is dpd.velocity_tail else -2.5)
+        4 ** (-1.5 if tail is dpd.theory.velocity_tail else -2.5)
     )
 
 
 def test_a_box_that_is_not_felt_yet_is_told():
     """The sum over its waves was cut off, at a length of some unit, and the answer too small."""
     with pytest.raises(ValueError, match="longest wave has decayed by .*: leave out box="):
-        dpd.velocity_tail(1e-7, **WATER, density=3.0, box=60.0)
+        dpd.theory.velocity_tail(1e-7, **WATER, density=3.0, box=60.0)
 
 
 def test_the_radius_behind_diffusion_coefficients():
     sides = [10.0, 15.0, 20.0]
-    exact = [dpd.sphere_diffusion(**WATER, radius=3.15, box=side) for side in sides]
-    fit = dpd.hydrodynamic_radius(sides, [Estimate(D, 0.02 * D) for D in exact], **WATER)
+    exact = [dpd.theory.sphere_diffusion(**WATER, radius=3.15, box=side) for side in sides]
+    fit = dpd.theory.hydrodynamic_radius(sides, [Estimate(D, 0.02 * D) for D in exact], **WATER)
     assert fit.value == pytest.approx(3.15, rel=1e-6)
     # The scatter of fits to noisy numbers is what the error says.
     rng = np.random.default_rng(0)
     noisy = [[Estimate(D * (1 + 0.02 * rng.normal()), 0.02 * D) for D in exact] for _ in range(200)]
-    found = np.array([dpd.hydrodynamic_radius(sides, D, **WATER).value for D in noisy])
+    found = np.array([dpd.theory.hydrodynamic_radius(sides, D, **WATER).value for D in noisy])
     assert (
         found.std() == pytest.approx(fit.error, rel=0.2)
         and abs(found.mean() - 3.15) < 0.3 * fit.error
     )
-    alone = dpd.hydrodynamic_radius([10.0], [Estimate(exact[0], 1e-4)], **WATER)
+    alone = dpd.theory.hydrodynamic_radius([10.0], [Estimate(exact[0], 1e-4)], **WATER)
     assert alone.value == pytest.approx(3.15, rel=1e-6)
 
 
 def test_radii_that_cannot_be_fitted():
     with pytest.raises(ValueError, match="2 sides and 1 estimates"):
-        dpd.hydrodynamic_radius([10.0, 20.0], [Estimate(0.01, 0.001)], **WATER)
+        dpd.theory.hydrodynamic_radius([10.0, 20.0], [Estimate(0.01, 0.001)], **WATER)
     with pytest.raises(ValueError, match="no radius between"):
-        dpd.hydrodynamic_radius([10.0], [Estimate(-1.0, 0.001)], **WATER)
+        dpd.theory.hydrodynamic_radius([10.0], [Estimate(-1.0, 0.001)], **WATER)
 
 
 # ---------------------------------------------------------------------------- rotation
@@ -161,9 +165,9 @@ def test_turns_are_added_up():
 def test_rotational_diffusion_of_a_random_walk():
     q, turn = rolled()
     run = made_up(orientation=q, angular_velocity=turn / H)
-    D = dpd.rotational_diffusion(run, fit=(1.0, 3.0))
+    D = dpd.measure.rotational_diffusion(run, fit=(1.0, 3.0))
     assert D.deviation(0.02) < 3.5 and D.error < 0.001
-    decay = dpd.orientation_correlation(run, t_max=10.0)
+    decay = dpd.measure.orientation_correlation(run, t_max=10.0)
     off = decay.value - np.exp(-2 * 0.02 * decay.time)
     assert np.all(np.abs(off[1:]) < 4.5 * decay.error[1:]) and decay.value[0] == pytest.approx(1.0)
 
@@ -178,10 +182,10 @@ def test_rotational_green_kubo_of_a_relaxing_spin():
             0.3 * (1 - keep**2)
         )
     run = made_up(angular_velocity=omega, inertia=2.0 / 0.3)
-    curve = dpd.angular_velocity_autocorrelation(run, t_max=3.0)
+    curve = dpd.measure.angular_velocity_autocorrelation(run, t_max=3.0)
     assert np.all(np.abs(curve.value - 0.9 * np.exp(-2 * curve.time)) < 4.5 * curve.error)
     assert (
-        dpd.rotational_diffusion(run, method="vacf", fit=(3.0, 5.0)).deviation(
+        dpd.measure.rotational_diffusion(run, method="vacf", fit=(3.0, 5.0)).deviation(
             0.15 * 0.2 / 2 / math.tanh(0.1)
         )
         < 3.5
@@ -189,14 +193,16 @@ def test_rotational_green_kubo_of_a_relaxing_spin():
 
 
 def test_wrong_rotation_measures():
-    with pytest.raises(ValueError, match="recorded no 'orientation'.*use observe=dpd.rotations"):
-        dpd.rotational_diffusion(made_up(angular_velocity=np.zeros((1, 50, 1, 3))))
+    with pytest.raises(
+        ValueError, match="recorded no 'orientation'.*use observe=dpd.observe.rotations"
+    ):
+        dpd.measure.rotational_diffusion(made_up(angular_velocity=np.zeros((1, 50, 1, 3))))
     with pytest.raises(ValueError, match="method is 'gk'"):
-        dpd.rotational_diffusion(made_up(), method="gk")
+        dpd.measure.rotational_diffusion(made_up(), method="gk")
     q = np.zeros((1, 50, 1, 4))
     q[:, ::2, :, 0] = q[:, 1::2, :, 1] = 1.0
     with pytest.raises(ValueError, match="record frames closer together"):
-        dpd.rotational_diffusion(made_up(orientation=q))
+        dpd.measure.rotational_diffusion(made_up(orientation=q))
 
 
 # ---------------------------------------------------------------------------- drives
@@ -209,7 +215,7 @@ def drifting(velocity, flow, noise=0.07):
 
 
 def test_driven_diffusion_is_velocity_over_force():
-    found = dpd.driven_diffusion(drifting(5.0, dpd.drive(400.0)))
+    found = dpd.measure.driven_diffusion(drifting(5.0, dpd.drive(400.0)))
     assert found.diffusion.deviation(2.0 * 5.0 / 400.0) < 3.5 and found.velocity.error < 0.03
     assert found.friction.value == pytest.approx(2.0 / found.diffusion.value)
     assert found.reynolds(density=3.0, viscosity=1.5, radius=2.0) == pytest.approx(
@@ -221,7 +227,8 @@ def test_the_reaction_on_the_others_is_corrected_for():
     """F on a sphere of share x and -F on the rest is a drive of F/(1 - x) with the reaction on
     all."""
     all_of_them, others = (
-        dpd.driven_diffusion(drifting(5.0, dpd.drive(400.0, reaction=r))) for r in ("all", "others")
+        dpd.measure.driven_diffusion(drifting(5.0, dpd.drive(400.0, reaction=r)))
+        for r in ("all", "others")
     )
     assert others.diffusion.value / all_of_them.diffusion.value == pytest.approx(1 - 3 / 5)
     published = 2.0 * others.velocity.value / (1 - 3 / 5) / 400.0
@@ -229,7 +236,7 @@ def test_the_reaction_on_the_others_is_corrected_for():
 
 
 def test_driven_rotation_is_angular_velocity_over_torque():
-    found = dpd.driven_rotation(drifting(5.0, dpd.drive(torque=(300.0, 0.0, 0.0))))
+    found = dpd.measure.driven_rotation(drifting(5.0, dpd.drive(torque=(300.0, 0.0, 0.0))))
     assert found.diffusion.deviation(2.0 * 5.0 / 300.0) < 3.5 and found.turns
     assert found.reynolds(density=3.0, viscosity=1.5, radius=2.0) == pytest.approx(
         6.0 * 2.0 * found.velocity.value * 2.0 / 3.0
@@ -244,7 +251,7 @@ def test_only_the_driven_species_is_read():
     )
     run.frames["angular_velocity"] = both
     run.final.species, run.final.rotation.slots = np.array([0, 2, 1]), slice(1, 3)
-    assert dpd.driven_rotation(run).velocity.deviation(5.0) < 3.5
+    assert dpd.measure.driven_rotation(run).velocity.deviation(5.0) < 3.5
 
 
 def test_spheres_that_nothing_turns_have_no_rotational_diffusion():
@@ -253,7 +260,7 @@ def test_spheres_that_nothing_turns_have_no_rotational_diffusion():
         rolled()[0],
         dpd.marble_fluid(kT=2.0, mass=3.0, coupling="central"),
     )
-    for measure in (dpd.driven_rotation, dpd.rotational_diffusion):
+    for measure in (dpd.measure.driven_rotation, dpd.measure.rotational_diffusion):
         with pytest.raises(
             ValueError, match='no friction turns the beads of species 1.*give one projector="full"'
         ):
@@ -265,21 +272,22 @@ def test_a_drift_surer_than_its_fluctuations_allow():
     with pytest.warns(
         UserWarning, match=r"cannot be below 0.0079 in a run of 200 time units in all.*run longer"
     ):
-        dpd.driven_diffusion(drifting(0.05, dpd.drive(4.0), noise=1e-6), skip=0.0)
+        dpd.measure.driven_diffusion(drifting(0.05, dpd.drive(4.0), noise=1e-6), skip=0.0)
 
 
 def test_no_drift_at_all():
     still = made_up(dpd.drive(4.0), unwrapped=np.zeros((4, 100, 1, 3)))
-    assert dpd.driven_diffusion(still).friction.value == math.inf
+    assert dpd.measure.driven_diffusion(still).friction.value == math.inf
 
 
 def test_means_of_orientations_are_refused():
     run = made_up(orientation=rolled()[0])
     run.means = ("orientation",)
-    for measure in (dpd.rotational_diffusion, dpd.orientation_correlation):
+    for measure in (dpd.measure.rotational_diffusion, dpd.measure.orientation_correlation):
         with pytest.raises(
             ValueError,
-            match="means of 'orientation', not its value at a time; use observe=dpd.rotations",
+            match="means of 'orientation', not its value at a time; use "
+            "observe=dpd.observe.rotations",
         ):
             measure(run)
 
@@ -317,12 +325,12 @@ def test_drives_scan_over_forces(key):
         made.dt,
         dpd.Plan(4, 20),
         flow,
-        observe=dpd.positions_of(1),
+        observe=dpd.observe.positions_of(1),
         progress=False,
     )
     assert ran.final.velocity[0, -1, 0] > 0.3 > -0.3 > ran.final.velocity[1, -1, 0]
-    with pytest.raises(ValueError, match="the members of this batch differ in push"):
-        dpd.driven_diffusion(ran)
+    with pytest.raises(ValueError, match="the members of this batch differ in applied_force"):
+        dpd.measure.driven_diffusion(ran)
 
 
 def test_wrong_drives(water, fresh, key):
@@ -343,4 +351,4 @@ def test_wrong_drives(water, fresh, key):
     with pytest.raises(
         ValueError, match=r"no driving force; run it with flow=dpd.drive\(force=...\)"
     ):
-        dpd.driven_diffusion(made_up(position=np.zeros((4, 3, 3))))
+        dpd.measure.driven_diffusion(made_up(position=np.zeros((4, 3, 3))))

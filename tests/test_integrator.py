@@ -17,7 +17,7 @@ from dpdjax.pairs.laws import DRAG
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class SelfConsistent(dpd.Integrator):
+class SelfConsistent(dpd.integrators.Integrator):
     """Velocity-Verlet whose drag is that of the velocity it ends at, found by iteration.
 
     Besold, Vattulainen, Karttunen & Polson, Phys. Rev. E 62, R7611 (2000).
@@ -80,7 +80,7 @@ def test_an_integrator_of_ones_own_goes_through_every_door(water, sheared_water,
 def test_self_consistency_keeps_the_temperature(water, fresh, key):
     """At dt 0.05 velocity-Verlet is 3 % too hot, and self-consistent it is less so."""
     settled_ = dpd.run(water, fresh, key, 0.01, dpd.Plan(5, 100), progress=False).final
-    heat = lambda how: dpd.block_average(
+    heat = lambda how: dpd.measure.block_average(
         dpd.run(
             water, settled_, key, 0.05, dpd.Plan(400, 20), integrator=how, progress=False
         ).frames["temperature"]
@@ -91,7 +91,7 @@ def test_self_consistency_keeps_the_temperature(water, fresh, key):
 
 def test_a_scan_over_lambda(water, sheared_water, key):
     """The weight of velocity-Verlet is a number as others are."""
-    keys, how = jax.random.split(key, 2), dpd.VelocityVerlet(jnp.array([0.5, 0.65]))
+    keys, how = jax.random.split(key, 2), dpd.integrators.VelocityVerlet(jnp.array([0.5, 0.65]))
     scan = dpd.run(water, sheared_water, keys, 0.01, dpd.Plan(2, 4), integrator=how, progress=False)
     alone = dpd.run(
         water,
@@ -99,7 +99,7 @@ def test_a_scan_over_lambda(water, sheared_water, key):
         keys[1],
         0.01,
         dpd.Plan(2, 4),
-        integrator=dpd.VelocityVerlet(0.65),
+        integrator=dpd.integrators.VelocityVerlet(0.65),
         progress=False,
     )
     np.testing.assert_allclose(scan.final.velocity[1], alone.final.velocity, atol=1e-8)
@@ -107,10 +107,10 @@ def test_a_scan_over_lambda(water, sheared_water, key):
 
 
 def test_what_is_no_integrator(water, fresh, key):
-    with pytest.raises(TypeError, match="integrator is 0.5; give dpd.VelocityVerlet()"):
+    with pytest.raises(TypeError, match="integrator is 0.5; give dpd.integrators.VelocityVerlet()"):
         dpd.simulate(water, fresh, key, 0.01, dpd.Plan(1), integrator=0.5)
     with pytest.raises(TypeError, match="Integrator is not registered: .*register_dataclass"):
-        dpd.simulate(water, fresh, key, 0.01, dpd.Plan(1), integrator=dpd.Integrator())
+        dpd.simulate(water, fresh, key, 0.01, dpd.Plan(1), integrator=dpd.integrators.Integrator())
 
 
 def test_a_plan_goes_through_jit(water, fresh, key):

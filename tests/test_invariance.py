@@ -137,5 +137,7 @@ def test_origin_of_a_sheared_box_is_invisible_to_rounding(run, sheared_water, te
 
 
 def test_recording_is_bitwise_invisible(run, simulate, water, sheared_water, key, ten):
-    observed = simulate(water, sheared_water, key, DT, ten, FLOW, observe=dpd.mean(dpd.stresses))
+    observed = simulate(
+        water, sheared_water, key, DT, ten, FLOW, observe=dpd.mean(dpd.observe.stresses)
+    )
     assert same_bits(run(ten).final, observed.final)

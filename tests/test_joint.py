@@ -35,16 +35,16 @@ def synthetic(monkeypatch, seed=0):
             goal=goal, keys=keys, steps=0, state=SimpleNamespace(position=np.zeros((boxes, 10, 3)))
         )
 
-    def measure(bench, fluid, error, settle, most, report):
-        bench.steps += 1
+    def measure(ensemble, fluid, error, settle, most, report):
+        ensemble.steps += 1
         return SimpleNamespace(
-            estimate=Estimate(exact(fluid)[bench.goal.name] + error * rng.normal(), error)
+            estimate=Estimate(exact(fluid)[ensemble.goal.name] + error * rng.normal(), error)
         )
 
-    def measure_slopes(bench, fluid, names, windows):
-        value = exact(fluid)[bench.goal.name]
+    def measure_slopes(ensemble, fluid, names, windows):
+        value = exact(fluid)[ensemble.goal.name]
         return [
-            Estimate(value * powers[bench.goal.name][n] * (1 + 0.1 * rng.normal()), 0.1 * value)
+            Estimate(value * powers[ensemble.goal.name][n] * (1 + 0.1 * rng.normal()), 0.1 * value)
             for n in names
         ]
 

@@ -46,7 +46,7 @@ def test_central_drag_is_gamma_times_the_weight_squared():
 
 def test_power_drag_of_exponent_two_is_central_drag():
     for derivative in (lambda law: law, lambda law: jax.vmap(jax.grad(law))):
-        power = derivative(lambda r: dpd.power_drag(r, gamma=4.5, r_c=1.2, s=2.0))(R)
+        power = derivative(lambda r: dpd.laws.power_drag(r, gamma=4.5, r_c=1.2, s=2.0))(R)
         central = derivative(lambda r: dpd.central_drag(r, gamma=4.5, r_c=1.2))(R)
         np.testing.assert_allclose(power, central, rtol=1e-13)
 

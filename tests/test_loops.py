@@ -21,7 +21,7 @@ def test_steps_are_those_of_a_run(water, fresh, key):
         state = one(state)
     assert state.status == 0 and state.step == 30
     np.testing.assert_allclose(state.position, run.final.position, atol=1e-9)
-    seen = dpd.standard(water, state)
+    seen = dpd.observe.standard(water, state)
     np.testing.assert_allclose(seen["pressure_tensor"], run.frames["pressure_tensor"][-1])
 
     def energy(a):

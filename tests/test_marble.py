@@ -11,7 +11,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import order
-from dpdjax.engine.rotation import Rotation, axis_of, turn_by
+from dpdjax.engine.rotation import Rotation, axis_of, rotation_step
 from dpdjax.model import advice, declare
 from dpdjax.model.beads import inertias, masses
 from dpdjax.pairs import box as boxes
@@ -85,7 +85,7 @@ def settled(marbled, simulate, key):
 
 
 def test_repulsion_is_that_of_the_source():
-    law = dpd.term(dpd.shifted_repulsion, epsilon=2.0, sigma=0.9, r_0=2.0)
+    law = dpd.term(dpd.laws.shifted_repulsion, epsilon=2.0, sigma=0.9, r_0=2.0)
     function, reach = law.between(R_i=3.0, R_j=0.0)
     np.testing.assert_allclose(reach, 2.0 + 2 ** (1 / 6) * 0.9 - 3.0)
     x = np.linspace(0.5, 1.1, 7) * 0.9
@@ -97,7 +97,7 @@ def test_repulsion_is_that_of_the_source():
 
 
 def test_repulsion_pushes_out_what_is_inside():
-    function, _ = dpd.term(dpd.shifted_repulsion, epsilon=1.0, sigma=1.0, r_0=2.0).between(
+    function, _ = dpd.term(dpd.laws.shifted_repulsion, epsilon=1.0, sigma=1.0, r_0=2.0).between(
         R_i=0.0, R_j=3.0
     )
     edge = -0.5
@@ -109,7 +109,7 @@ def test_repulsion_pushes_out_what_is_inside():
 
 
 def test_surface_drag_is_the_same_inside_and_out():
-    term = dpd.term(dpd.surface_drag, gamma_cs=5.0, r_c=1.0)
+    term = dpd.term(dpd.laws.surface_drag, gamma_cs=5.0, r_c=1.0)
     function, reach = term.between()
     h = np.array([0.0, 0.25, 0.5, 1.0])
     np.testing.assert_allclose(function(h), 5.0 * (1 - h) ** 2)
@@ -119,9 +119,9 @@ def test_surface_drag_is_the_same_inside_and_out():
 
 def test_projectors_are_declared_or_given():
     assert dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0).projector == "central"
-    assert dpd.term(dpd.transverse_drag, gamma_t=1.0, r_c=1.0).projector == "transverse"
+    assert dpd.term(dpd.laws.transverse_drag, gamma_t=1.0, r_c=1.0).projector == "transverse"
     assert (
-        dpd.term(dpd.surface_drag, gamma_cs=1.0, r_c=1.0, projector="central").projector
+        dpd.term(dpd.laws.surface_drag, gamma_cs=1.0, r_c=1.0, projector="central").projector
         == "central"
     )
     with pytest.raises(
@@ -129,7 +129,7 @@ def test_projectors_are_declared_or_given():
     ):
         dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0, projector="sideways")
     with pytest.raises(ValueError, match="projector is 'up'"):
-        dpd.projected("up")
+        dpd.laws.projected("up")
     with pytest.raises(
         ValueError, match="soft_repulsion is full, and the force of a potential is central"
     ):
@@ -324,10 +324,12 @@ def test_a_turning_sphere_comes_round():
     steps = 2000
     angle = 2 * math.pi / jnp.linalg.norm(omega)
     for _ in range(2):
-        q = jax.lax.fori_loop(0, steps // 2, lambda _, q: q + turn_by(q, omega * angle / steps), q)
+        q = jax.lax.fori_loop(
+            0, steps // 2, lambda _, q: q + rotation_step(q, omega * angle / steps), q
+        )
     np.testing.assert_allclose(jnp.abs(q[0, 0]), 1.0, atol=1e-5)
     level = Rotation.of(omega, 0).orientation
-    half = level + turn_by(level, jnp.array([[1e-3, 0.0, 0.0]]))
+    half = level + rotation_step(level, jnp.array([[1e-3, 0.0, 0.0]]))
     np.testing.assert_allclose(axis_of(half)[0], [0.0, -1e-3, 1.0], atol=1e-6)
 
 
@@ -408,7 +410,7 @@ def test_order_of_rotation(lam, order, touching, key):
     fluid, start = touching
 
     def spins(steps, lam=lam):
-        how = dpd.VelocityVerlet(lam)
+        how = dpd.integrators.VelocityVerlet(lam)
         final = jax.jit(
             lambda s: dpd.simulate(
                 fluid,
@@ -445,7 +447,7 @@ def test_order_of_orientation_under_a_torque(touching, key):
 
 
 def spin_energy(fluid, state):
-    return {"T": dpd.rotational_temperature(fluid, state)}
+    return {"T": dpd.observe.rotational_temperature(fluid, state)}
 
 
 def rotational_temperature_after(made, key, steps=6000):
@@ -598,7 +600,7 @@ def test_starts_are_thermal_and_repeat(key):
 
 def test_the_stress_across_is_the_flux_of_momentum(key):
     """``P[a, b]``: momentum a carried along b. Two beads past each other along x, apart in y."""
-    fluid = dpd.fluid(drag=[dpd.term(dpd.transverse_drag, gamma_t=2.0, r_c=1.0)], kT=0.0)
+    fluid = dpd.fluid(drag=[dpd.term(dpd.laws.transverse_drag, gamma_t=2.0, r_c=1.0)], kT=0.0)
     state = dpd.initial_state(fluid, key, box=3.0, n=2, skin=0.1)
     state = dataclasses.replace(
         state,
@@ -612,7 +614,9 @@ def test_the_stress_across_is_the_flux_of_momentum(key):
         tally.virial["drag"], [[0.0, -0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     )
     # Along xy, yx, ... the pair answers a shear with zeta r^2 e_b^2 (1 - e_a^2); here e = y.
-    np.testing.assert_allclose(dpd.instantaneous_viscosity(fluid, state), 0.5 * 0.25 / 3 / 27.0)
+    np.testing.assert_allclose(
+        dpd.observe.instantaneous_viscosity(fluid, state), 0.5 * 0.25 / 3 / 27.0
+    )
 
 
 # ------------------------------------------------------------ errors
@@ -653,7 +657,7 @@ def test_what_cannot_rotate(marbled, settled, key, water, fresh):
             marbled.fluid, dataclasses.replace(settled, rotation=None), key, DT, dpd.Plan(1)
         )
     with pytest.raises(ValueError, match="no bead of this state rotates"):
-        dpd.rotations(water, fresh)
+        dpd.observe.rotations(water, fresh)
     shifted = dataclasses.replace(settled, rotation=dataclasses.replace(settled.rotation, begin=0))
     with pytest.raises(ValueError, match="of other species"):
         dpd.simulate(marbled.fluid, shifted, key, DT, dpd.Plan(1))

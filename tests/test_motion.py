@@ -96,7 +96,7 @@ def test_gradients_of_beads_at_one_place_are_finite(stacked, water):
         return jnp.sum(force**2) + sums.energy
 
     assert np.all(np.isfinite(jax.grad(work)(stacked.position)))
-    assert np.isfinite(dpd.configurational_temperature(water, stacked))
+    assert np.isfinite(dpd.observe.configurational_temperature(water, stacked))
 
 
 def test_padded_slots_are_no_pairs(stacked, one_step):
@@ -136,7 +136,7 @@ def test_few_beads_may_be_hot_for_a_while(water):
     for n, told in ((2, 0), (1000, bits.RUN_AWAY)):
         state = dpd.initial_state(water, jax.random.key(0), box=8.0, n=n)
         hot = dataclasses.replace(
-            state, velocity=state.velocity * jnp.sqrt(20.0 / dpd.temperature(water, state))
+            state, velocity=state.velocity * jnp.sqrt(20.0 / dpd.observe.temperature(water, state))
         )
         assert motion.trouble(water, hot, 1e-4) == told
 
@@ -154,7 +154,7 @@ def test_a_steady_excess_is_told(fresh, water, key):
     with pytest.warns(UserWarning, match="member 1: the later half"):
         dpd.run(water, settled, both, jnp.array([0.005, 0.05]), dpd.Plan(200, 10), progress=False)
     moved = dpd.run(
-        water, settled, key, 0.05, dpd.Plan(200, 10), observe=dpd.positions, progress=False
+        water, settled, key, 0.05, dpd.Plan(200, 10), observe=dpd.observe.positions, progress=False
     )
     with pytest.warns(UserWarning, match="the beads were at 1.0"):
-        dpd.mean_squared_displacement(moved)
+        dpd.measure.mean_squared_displacement(moved)

@@ -64,13 +64,13 @@ def test_equilibrium_viscosities_refuse_driven_runs(water, fresh):
     }
     frames = tensors | {"instantaneous_viscosity": np.ones(200), "temperature": np.ones(200)}
     measures = {
-        "Green-Kubo": lambda run: dpd.green_kubo(run, window=0.05),
-        "Einstein-Helfand": lambda run: dpd.einstein_helfand(run, window=0.05),
+        "Green-Kubo": lambda run: dpd.measure.green_kubo(run, window=0.05),
+        "Einstein-Helfand": lambda run: dpd.measure.einstein_helfand(run, window=0.05),
     }
     driven = [(dpd.shear(0.3), "sheared"), (dpd.oscillatory_shear(0.1, 3.0), "sheared")]
     driven += [
         (dpd.drive(1.0, species=0), "a force drove"),
-        (dpd.sinusoidal_force(0.1, 4.2), "a force drove"),
+        (dpd.flows.sinusoidal_force(0.1, 4.2), "a force drove"),
     ]
     for name, measure in measures.items():
         for flow, why in driven:
@@ -117,7 +117,7 @@ def test_displacements_far_from_the_start_keep_their_digits(fresh, ideal):
             "unwrapped": unwrapped,
         }
         run = dpd.Trajectory(fresh, record, System.of(ideal, 1.0))
-        measured[far] = dpd.mean_squared_displacement(run, t_max=4.0).value
+        measured[far] = dpd.measure.mean_squared_displacement(run, t_max=4.0).value
     np.testing.assert_allclose(measured[100_000], measured[0], rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(measured[0][1:], 3e-6 * np.arange(1, 5), rtol=0.1)
 
@@ -126,10 +126,10 @@ def test_what_is_no_run_is_told(fresh, water):
     for given in ({"frames": 1}, fresh, water):
         for measure in (
             dpd.shear_viscosity,
-            dpd.mean_squared_displacement,
-            dpd.radial_distribution,
+            dpd.measure.mean_squared_displacement,
+            dpd.measure.radial_distribution,
         ):
-            if measure is dpd.radial_distribution and given is not fresh:
+            if measure is dpd.measure.radial_distribution and given is not fresh:
                 continue
             with pytest.raises(
                 (TypeError, ValueError), match="this measures a run, and was given a|positions"
@@ -156,11 +156,11 @@ def test_a_block_average_refuses_what_it_cannot_average():
         r"shape \(40, 3, 3\); give \(frames,\) or \(replicas, frames\), of a tensor one component"
     )
     with pytest.raises(ValueError, match=told):
-        dpd.block_average(np.ones((40, 3, 3)))
+        dpd.measure.block_average(np.ones((40, 3, 3)))
     with pytest.raises(ValueError, match="holds NaN or infinity"):
-        dpd.block_average([1.0, np.nan, 2.0, 3.0])
+        dpd.measure.block_average([1.0, np.nan, 2.0, 3.0])
 
 
 def test_measures_have_no_derivative():
     with pytest.raises(TypeError, match="no derivative|numbers of the host"):
-        jax.jvp(lambda x: dpd.block_average(x).value, (jnp.ones(8),), (jnp.ones(8),))
+        jax.jvp(lambda x: dpd.measure.block_average(x).value, (jnp.ones(8),), (jnp.ones(8),))

@@ -19,7 +19,7 @@ def places(fluid, state):
     return {"where": state.position, "who": state.id, "pairs": state.neighbours[0].list.idx}
 
 
-OBSERVE = [dpd.mean(dpd.stresses), places]
+OBSERVE = [dpd.mean(dpd.observe.stresses), places]
 
 
 @pytest.fixture

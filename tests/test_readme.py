@@ -42,8 +42,7 @@ SMALLER = {
     "Plan(20, 200)": "Plan(2, 10)",
     "Plan(2000, 20)": "Plan(60, 20)",
     "fit=(15.0, 20.0)": "fit=(0.2, 0.3)",
-    "dpd.hydrodynamic_radius([10.0], [D]": "dpd.hydrodynamic_radius([10.0], [dpd.Estimate(0.005, "
-    "D.error)]",
+    "hydrodynamic_radius([10.0], [D]": "hydrodynamic_radius([10.0], [dpd.Estimate(0.005, D.error)]",
 }
 """The same lines at a size that suits a test."""
 

@@ -83,7 +83,7 @@ def means(signal=maxwell, **how):
 
 @pytest.mark.parametrize("every", [1, 5, EVERY])
 def test_moduli_of_a_maxwell_fluid_from_means(every):
-    found = dpd.moduli(means(every=every))
+    found = dpd.measure.moduli(means(every=every))
     np.testing.assert_allclose(found.cycles, [[STORAGE, LOSS]] * (CYCLES - 1), rtol=1e-9)
     assert found.storage.value == pytest.approx(STORAGE) and found.loss.value == pytest.approx(LOSS)
     assert found.frequency == FREQUENCY and found.viscosity.value == pytest.approx(LOSS / FREQUENCY)
@@ -91,7 +91,7 @@ def test_moduli_of_a_maxwell_fluid_from_means(every):
 
 def test_moduli_of_a_maxwell_fluid_from_snapshots():
     time = steps_of()[:, -1]
-    found = dpd.moduli(trajectory(maxwell(time), time), averaged=False)
+    found = dpd.measure.moduli(trajectory(maxwell(time), time), averaged=False)
     np.testing.assert_allclose(found.cycles, [[STORAGE, LOSS]] * (CYCLES - 1), rtol=1e-9)
 
 
@@ -100,7 +100,7 @@ def test_moduli_of_noisy_replicas_have_honest_errors():
     off = []
     for _ in range(40):
         noisy = maxwell(time).mean(1) + rng.normal(size=(3, len(time)))
-        found = dpd.moduli(trajectory(noisy, time[:, -1]))
+        found = dpd.measure.moduli(trajectory(noisy, time[:, -1]))
         assert found.cycles.shape == (3 * (CYCLES - 1), 2)
         off += [
             (e.value - exact) / e.error
@@ -111,9 +111,9 @@ def test_moduli_of_noisy_replicas_have_honest_errors():
 
 def test_the_start_is_left_out():
     late = lambda time: maxwell(time) + 30 * np.exp(-time / 0.2)
-    assert dpd.moduli(means(late), skip=1).storage.value == pytest.approx(STORAGE)
-    assert dpd.moduli(means(late), skip=0).storage.value > 1.05 * STORAGE
-    assert len(dpd.moduli(means(), skip=4).cycles) == CYCLES - 4
+    assert dpd.measure.moduli(means(late), skip=1).storage.value == pytest.approx(STORAGE)
+    assert dpd.measure.moduli(means(late), skip=0).storage.value > 1.05 * STORAGE
+    assert len(dpd.measure.moduli(means(), skip=4).cycles) == CYCLES - 4
 
 
 def scan(**how):
@@ -168,18 +168,18 @@ def scan(**how):
 )
 def test_runs_that_tell_no_moduli(run, message):
     with pytest.raises(ValueError, match=message):
-        dpd.moduli(run())
+        dpd.measure.moduli(run())
 
 
 def test_missing_stress_is_named():
     blind = means()
     del blind.frames["pressure_tensor"]
     with pytest.raises(ValueError, match="recorded no 'pressure_tensor'"):
-        dpd.moduli(blind)
+        dpd.measure.moduli(blind)
 
 
 def test_oscillating_shear_has_no_steady_viscosity():
-    with pytest.raises(ValueError, match="oscillates; use dpd.moduli"):
+    with pytest.raises(ValueError, match="oscillates; use dpd.measure.moduli"):
         dpd.shear_viscosity(means())
 
 
@@ -190,7 +190,7 @@ SLOW, PLAN = 0.8, dpd.Plan(240, 30)
 
 @pytest.fixture(scope="module")
 def water_in_oscillation(water, fresh, key):
-    flow, observe = dpd.oscillatory_shear(AMPLITUDE, SLOW), dpd.mean(dpd.standard)
+    flow, observe = dpd.oscillatory_shear(AMPLITUDE, SLOW), dpd.mean(dpd.observe.standard)
     return dpd.run(water, fresh, key, DT, PLAN, flow, observe=observe, progress=False)
 
 
@@ -208,12 +208,15 @@ def test_oscillation_moves_no_momentum(water_in_oscillation):
 
 def test_a_run_knows_its_means(water_in_oscillation, water, fresh, key):
     assert "pressure_tensor" in water_in_oscillation.means
-    by_hand = dpd.moduli(water_in_oscillation, averaged=True)
-    assert by_hand.loss.value == dpd.moduli(water_in_oscillation).loss.value
-    assert dpd.moduli(water_in_oscillation, averaged=False).storage.value != by_hand.storage.value
+    by_hand = dpd.measure.moduli(water_in_oscillation, averaged=True)
+    assert by_hand.loss.value == dpd.measure.moduli(water_in_oscillation).loss.value
+    assert (
+        dpd.measure.moduli(water_in_oscillation, averaged=False).storage.value
+        != by_hand.storage.value
+    )
     keys, frequency = jax.random.split(key, 2), jnp.array([SLOW, 2 * SLOW])
     flow = dpd.oscillatory_shear(AMPLITUDE, frequency)
-    observe = [dpd.mean(dpd.momentum), dpd.stresses]
+    observe = [dpd.mean(dpd.observe.momentum), dpd.observe.stresses]
     scan = dpd.run(
         water.set(kT=jnp.array([1.0, 2.0])),
         fresh,
@@ -229,7 +232,7 @@ def test_a_run_knows_its_means(water_in_oscillation, water, fresh, key):
 
 
 def test_water_is_viscous_and_hardly_elastic(water_in_oscillation):
-    found = dpd.moduli(water_in_oscillation)
+    found = dpd.measure.moduli(water_in_oscillation)
     assert len(found.cycles) == 8 and found.viscosity.error < 0.06
     assert found.viscosity.deviation(0.85) < 5
     assert abs(found.storage.value) < 0.2 * found.loss.value + 3 * found.storage.error

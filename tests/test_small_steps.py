@@ -10,7 +10,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine.compensated import plus
-from dpdjax.engine.rotation import Rotation, turn_by
+from dpdjax.engine.rotation import Rotation, rotation_step
 from dpdjax.measure.rotation import angle_turned
 
 STEPS = 10_000
@@ -101,7 +101,7 @@ def test_small_steps_turn_spheres(single, dt):
     start = Rotation.of(omega, 0).orientation * 0 + jnp.asarray(
         rows / np.linalg.norm(rows), jnp.float32
     )
-    body = lambda carry, _: (plus(*carry, turn_by(carry[0], dt * omega)), None)
+    body = lambda carry, _: (plus(*carry, rotation_step(carry[0], dt * omega)), None)
     end = jax.jit(lambda q: jax.lax.scan(body, (q, 0 * q), length=4000)[0][0])(start)
     turned = angle_turned(np.stack([np.asarray(start, float), np.asarray(end, float)]))[-1, 0]
     np.testing.assert_allclose(turned, np.asarray(omega)[0] * dt * 4000, rtol=1e-3)

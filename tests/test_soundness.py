@@ -184,7 +184,7 @@ def test_a_term_can_be_made_of_traced_numbers():
 
 
 def test_laws_declare_the_numbers_they_take():
-    @dpd.bounded(k="positive")
+    @dpd.laws.bounded(k="positive")
     def spring(h, *, k):
         return k * h**2
 
@@ -196,7 +196,7 @@ def test_laws_declare_the_numbers_they_take():
     with pytest.raises(
         ValueError, match="bound of k is 'large'; it is one of positive, not negative"
     ):
-        dpd.bounded(k="large")
+        dpd.laws.bounded(k="large")
     negative = lambda h, *, gamma: gamma * h
     assert dpd.fluid([dpd.term(negative, gamma=-1.0, reach=1.0)], kT=1.0), (
         "a name alone says nothing"
@@ -207,4 +207,4 @@ def test_an_attraction_has_no_negative_depth():
     with pytest.raises(ValueError, match="D0 is -1.0; it must not be negative"):
         dpd.colloid_fluid(D0=-1.0)
     with pytest.raises(ValueError, match="phi_p is -0.1"):
-        dpd.term(dpd.asakura_oosawa, phi_p=-0.1, r_g=0.1)
+        dpd.term(dpd.laws.asakura_oosawa, phi_p=-0.1, r_g=0.1)

@@ -117,14 +117,14 @@ def test_wrong_trajectories(water):
     frames = frames | {"strain": np.zeros(5)}
     with pytest.raises(
         ValueError,
-        match="recorded means of 'position', not its value at a time; use observe=dpd.pos",
+        match="recorded means of 'position', not its value at a time; use observe=dpd.observe.pos",
     ):
         radial_distribution(
             SimpleNamespace(frames=frames, flow=Flow.of(dpd.shear(0.1)), means=("position",), **run)
         )
     standard = SimpleNamespace(frames={"temperature": np.ones(5)}, flow=Flow(), final=final)
     with pytest.raises(
-        ValueError, match="no 'position' but temperature; use observe=dpd.positions"
+        ValueError, match="no 'position' but temperature; use observe=dpd.observe.positions"
     ):
         radial_distribution(standard)
     with pytest.raises(ValueError, match="knows its box"):
@@ -147,7 +147,7 @@ def test_structure_of_water():
     water, key = dpd.water(), jax.random.key(3)
     state = dpd.initial_state(water, key, box=5.0, density=3.0)
     plan = dpd.Plan(frames=60, every=10)
-    run = dpd.simulate(water, state, key, 0.02, plan, observe=dpd.positions)
+    run = dpd.simulate(water, state, key, 0.02, plan, observe=dpd.observe.positions)
     late = dataclasses.replace(
         run, frames={name: values[20:] for name, values in run.frames.items()}
     )
@@ -161,14 +161,14 @@ def test_a_scan_is_not_pooled(water, fresh, key):
     """What differs is named; members, and replicas of one fluid, are measured."""
     keys = jax.random.split(key, 2)
     go = lambda fluid: dpd.run(
-        fluid, fresh, keys, 0.005, dpd.Plan(2, 2), observe=dpd.positions, progress=False
+        fluid, fresh, keys, 0.005, dpd.Plan(2, 2), observe=dpd.observe.positions, progress=False
     )
     scan = go(water.set(gamma=np.array([4.5, 9.0]), kT=np.array([1.0, 0.5])))
     for measure in (
         radial_distribution,
         dpd.diffusion,
-        dpd.mean_squared_displacement,
-        dpd.velocity_autocorrelation,
+        dpd.measure.mean_squared_displacement,
+        dpd.measure.velocity_autocorrelation,
     ):
         with pytest.raises(
             ValueError,

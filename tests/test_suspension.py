@@ -77,20 +77,23 @@ def test_start_has_no_overlap_and_the_solvent_outside(suspended):
 
 
 def test_the_spheres_of_a_state(settled, suspended):
-    some, colloids = dpd.spheres_of(suspended.fluid, settled), slice(suspended.solvents, None)
+    some, colloids = (
+        dpd.measure.spheres_of(suspended.fluid, settled),
+        slice(suspended.solvents, None),
+    )
     np.testing.assert_array_equal(some.position[0, 0], settled.position[colloids])
     np.testing.assert_array_equal(
         some.radius[0], np.asarray(radii(suspended.fluid, settled))[colloids]
     )
     assert some.strain[0, 0] == settled.box.strain != 0 and some.time == settled.time
     with pytest.raises(ValueError, match="species 0 has no radius.*spheres are of species 1"):
-        dpd.spheres_of(suspended.fluid, settled, species=0)
+        dpd.measure.spheres_of(suspended.fluid, settled, species=0)
     with pytest.raises(
-        TypeError, match=r"not a State; of one state, dpd.spheres_of\(fluid, state\)"
+        TypeError, match=r"not a State; of one state, dpd.measure.spheres_of\(fluid, state\)"
     ):
-        dpd.contact_number(settled, gap=0.1)
+        dpd.measure.contact_number(settled, gap=0.1)
     with pytest.raises(ValueError, match="the state is a batch"):
-        dpd.spheres_of(suspended.fluid, jax.tree.map(lambda x: jnp.stack([x, x]), settled))
+        dpd.measure.spheres_of(suspended.fluid, jax.tree.map(lambda x: jnp.stack([x, x]), settled))
 
 
 def laws_by_hand(kind, h, Ri, Rj):
@@ -312,7 +315,7 @@ def test_relative_viscosity_is_that_at_the_density_between(settled, suspended, k
         found.value == pytest.approx(dpd.shear_viscosity(sheared).value / 0.5)
         and found.deviation(1.6) < 4
     )
-    assert asked["density"] == pytest.approx(dpd.solvent_density(suspended.fluid, wide))
+    assert asked["density"] == pytest.approx(dpd.measure.solvent_density(suspended.fluid, wide))
     assert asked["tolerance"] == 0.1 and asked["species"] == 1
     known = dpd.relative_viscosity(sheared, solvent=dpd.Estimate(0.25, 0.0))
     assert known.value == pytest.approx(2 * found.value)
@@ -372,7 +375,7 @@ def radii_of(made):
         (dict(phi=1e-4, box=9.0), "less than one colloid"),
         (dict(phi=0.2, box=9.0, noise="wrong"), "noise is 'wrong'"),
         (
-            dict(phi=0.2, box=9.0, noise="literal", lubrication=dpd.unequal_lubrication),
+            dict(phi=0.2, box=9.0, noise="literal", lubrication=dpd.laws.unequal_lubrication),
             "leave lubrication= out",
         ),
         (dict(phi=0.2, box=9.0, kT=0.0), "kT is 0"),

@@ -62,7 +62,7 @@ def advice(system) -> dict:
     rough = rough_viscosity(fluid, density)
     return {
         "dt": dt / system.time,
-        "skin": dpd.suggest_skin(fluid, dt) / system.length,
+        "skin": dpd.theory.suggest_skin(fluid, dt) / system.length,
         "thermal": thermal_time(fluid) / system.time,
         "rate": suggest_rate(fluid, density, rough) * system.time,
         "largest rate": suggest_rate(fluid, density, rough, 10.0) * system.time,

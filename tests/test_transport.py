@@ -266,7 +266,8 @@ def test_wrong_trajectories():
     x = np.zeros((30, 4, 3))
     with pytest.raises(
         ValueError,
-        match="sheared.*recorded without their images is unknown; use observe=dpd.positions",
+        match="sheared.*recorded without their images is unknown; use "
+        "observe=dpd.observe.positions",
     ):
         diffusion(trajectory(x, x, H, flow=dpd.shear(0.1)))
     with pytest.raises(ValueError, match="differ in dt"):
@@ -277,7 +278,9 @@ def test_wrong_trajectories():
         diffusion(trajectory(x + np.nan, x, H))
     missing = trajectory(x, x, H)
     del missing.frames["unwrapped"]
-    with pytest.raises(ValueError, match="no 'position' but velocity; use observe=dpd.positions"):
+    with pytest.raises(
+        ValueError, match="no 'position' but velocity; use observe=dpd.observe.positions"
+    ):
         diffusion(missing)
 
 
@@ -302,7 +305,7 @@ def test_water_of_a_real_run():
     water, key = dpd.water(), jax.random.key(4)
     state = dpd.initial_state(water, key, box=5.0, density=3.0)
     simulate = lambda key: dpd.simulate(
-        water, state, key, 0.02, dpd.Plan(225, every=4), observe=dpd.positions
+        water, state, key, 0.02, dpd.Plan(225, every=4), observe=dpd.observe.positions
     )
     run = jax.vmap(simulate)(jax.random.split(key, 2))
     run = dataclasses.replace(

@@ -34,7 +34,7 @@ def flight(request):
         DT,
         dpd.Plan(80, EVERY),
         flow,
-        observe=dpd.positions,
+        observe=dpd.observe.positions,
         progress=False,
     )
     time = np.asarray(run.frames["time"], float)
@@ -79,7 +79,9 @@ def test_the_flow_is_taken_off(flight):
 
 
 def test_without_a_flow_nothing_is_taken_off(water, fresh, key):
-    run = dpd.run(water, fresh, key, 0.01, dpd.Plan(20, 5), observe=dpd.positions, progress=False)
+    run = dpd.run(
+        water, fresh, key, 0.01, dpd.Plan(20, 5), observe=dpd.observe.positions, progress=False
+    )
     np.testing.assert_allclose(displaced(run)[0], run.frames["unwrapped"], atol=1e-12)
 
 
@@ -92,21 +94,21 @@ def test_frames_too_far_apart_are_told(flight):
         ValueError,
         match="strained by up to .* between frames.* record frames closer together, every=(75|20)",
     ):
-        dpd.mean_squared_displacement(rare)
+        dpd.measure.mean_squared_displacement(rare)
 
 
 def test_averaged_positions_are_refused(flight):
     _, run, _, _ = flight
     averaged = dataclasses.replace(run, means=("position", "velocity"))
     for measure in (
-        dpd.mean_squared_displacement,
-        dpd.velocity_autocorrelation,
-        dpd.radial_distribution,
+        dpd.measure.mean_squared_displacement,
+        dpd.measure.velocity_autocorrelation,
+        dpd.measure.radial_distribution,
     ):
         with pytest.raises(
             ValueError,
-            match="recorded means of '(position|velocity)'.*use observe=dpd.positions without "
-            "dpd.mean",
+            match="recorded means of '(position|velocity)'.*use observe=dpd.observe.positions "
+            "without dpd.mean",
         ):
             measure(averaged)
 
@@ -115,10 +117,10 @@ def test_axes_are_some_of_three(flight):
     _, run, _, _ = flight
     for axes in ("", "xx", "xw"):
         with pytest.raises(ValueError, match=f"axes is '{axes}'; give some of"):
-            dpd.mean_squared_displacement(run, axes=axes)
-    apart = [dpd.mean_squared_displacement(run, axes=axis).value for axis in "xyz"]
+            dpd.measure.mean_squared_displacement(run, axes=axes)
+    apart = [dpd.measure.mean_squared_displacement(run, axes=axis).value for axis in "xyz"]
     np.testing.assert_allclose(
-        sum(apart), dpd.mean_squared_displacement(run).value, rtol=1e-9, atol=1e-12
+        sum(apart), dpd.measure.mean_squared_displacement(run).value, rtol=1e-9, atol=1e-12
     )
 
 
@@ -136,7 +138,7 @@ def test_distances_are_those_of_each_frame(flight):
     some = dataclasses.replace(
         run, frames={name: values[::20] for name, values in run.frames.items()}
     )
-    g = dpd.radial_distribution(some, bins=4, r_max=2.5)
+    g = dpd.measure.radial_distribution(some, bins=4, r_max=2.5)
     shells = 4 / 3 * np.pi * np.diff(np.linspace(0, 2.5, 5) ** 3) / SIDES.prod()
     np.testing.assert_allclose(g.g, counts / (len(position) * 30 * 29 * shells))
 
@@ -161,6 +163,8 @@ def test_wave_vectors_are_those_of_each_frame():
         shell = (length * bins / most).astype(int)
         sums += np.bincount(shell, spectrum, bins)
         vectors += np.bincount(shell, minlength=bins)
-    found = dpd.structure_factor(Spheres(position, 0.5, SIDES, strain), q_max=most, bins=bins)
+    found = dpd.measure.structure_factor(
+        Spheres(position, 0.5, SIDES, strain), q_max=most, bins=bins
+    )
     np.testing.assert_allclose(found.s, (sums / vectors)[vectors > 0])
     np.testing.assert_allclose(found.vectors, vectors[vectors > 0] / 3)

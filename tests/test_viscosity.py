@@ -60,7 +60,7 @@ def test_green_kubo_integrates_the_memory():
             "reversed_flux": smooth - drag,
             "instantaneous_viscosity": instant,
         }
-        estimates.append(dpd.green_kubo(trajectory(frames), window=1.6))
+        estimates.append(dpd.measure.green_kubo(trajectory(frames), window=1.6))
     assert within(estimates, 0.3 + 1.5 - 0.4)
     assert max(e.error for e in estimates) < 0.2
 
@@ -75,7 +75,7 @@ def test_green_kubo_integrates_by_the_trapezoidal_rule():
         "reversed_flux": steady,
         "instantaneous_viscosity": np.ones((REPLICAS, 100)),
     }
-    eta = dpd.green_kubo(trajectory(frames), window=5 * H)
+    eta = dpd.measure.green_kubo(trajectory(frames), window=5 * H)
     assert eta.value == pytest.approx(1.0 + np.prod(SIDES) / KT * 0.2 * 0.7**2 * 5 * H)
 
 
@@ -86,7 +86,7 @@ def test_green_kubo_stops_at_the_window():
         UserWarning,
         match="still remembered at the end of the window, to 5.% of.*leaves out about 0.8",
     ) as told:
-        half = dpd.green_kubo(run, window=0.2 * np.log(2))
+        half = dpd.measure.green_kubo(run, window=0.2 * np.log(2))
     assert half.deviation(0.75) < 4 and half.error < 0.05
     assert len(told) == 1
 
@@ -100,32 +100,33 @@ def test_windows_in_which_the_stress_is_forgotten_are_not_told():
             "reversed_flux": flux,
             "instantaneous_viscosity": np.zeros((REPLICAS, FRAMES)),
         }
-        dpd.green_kubo(trajectory(frames), window=1.6)
-        dpd.einstein_helfand(trajectory({"flux_integral": H * flux}), window=1.6)
+        dpd.measure.green_kubo(trajectory(frames), window=1.6)
+        dpd.measure.einstein_helfand(trajectory({"flux_integral": H * flux}), window=1.6)
 
 
 def test_einstein_helfand_is_the_growth_of_the_integral():
     flux = [trajectory({"flux_integral": H * stress(seed, 1.5)}) for seed in range(12)]
-    assert within([dpd.einstein_helfand(t, window=1.6) for t in flux], 1.5)
+    assert within([dpd.measure.einstein_helfand(t, window=1.6) for t in flux], 1.5)
     # From lag 0 the ballistic start is missing: eta (1 - (memory / t) (1 - exp(-t / memory))).
     with pytest.warns(UserWarning, match="not yet straight: its slope changes by 0.*start later"):
         assert within(
-            [dpd.einstein_helfand(t, start=0.0, window=1.6) for t in flux], 1.5 * (1 - 0.125)
+            [dpd.measure.einstein_helfand(t, start=0.0, window=1.6) for t in flux],
+            1.5 * (1 - 0.125),
         )
 
 
 def test_pressure_of_any_trace_has_no_viscosity():
     isotropic = np.random.default_rng(0).normal(size=(REPLICAS, FRAMES, 1, 1)) * np.eye(3)
     frames = {"flux_integral": isotropic}
-    assert dpd.einstein_helfand(trajectory(frames), window=0.4).value == pytest.approx(
+    assert dpd.measure.einstein_helfand(trajectory(frames), window=0.4).value == pytest.approx(
         0.0, abs=1e-12
     )
 
 
 def test_sinusoidal_viscosity_of_a_known_wave():
     noise = 0.01 * np.random.default_rng(0).normal(size=(REPLICAS, FRAMES))
-    flow = dpd.sinusoidal_force(0.2, side=SIDES[1])
-    eta = dpd.sinusoidal_viscosity(trajectory({"wave_velocity": 0.5 + noise}, flow))
+    flow = dpd.flows.sinusoidal_force(0.2, side=SIDES[1])
+    eta = dpd.measure.sinusoidal_viscosity(trajectory({"wave_velocity": 0.5 + noise}, flow))
     k = 2 * np.pi / SIDES[1]
     assert eta.deviation(RHO * 0.2 / (0.5 * k**2)) < 4
     assert eta.error / eta.value == pytest.approx(0.01 / 0.5 / np.sqrt(0.8 * noise.size), rel=0.4)
@@ -135,10 +136,10 @@ def test_sine_record_reads_the_amplitude(water, fresh):
     y = fresh.position[:, 1] / fresh.box.lengths[1]
     waves = 0.7 * jnp.stack([jnp.sin(4 * jnp.pi * y), y, y], axis=1)
     state = dataclasses.replace(fresh, velocity=waves)
-    record = dpd.sine_record(2).observe(water, state)
+    record = dpd.observe.wave_of(2).observe(water, state)
     assert record["wave_velocity"] == pytest.approx(0.7, rel=0.2)
     assert record["momentum"][1] == pytest.approx(0.7 * float(y.sum()))
-    assert dpd.sine_record(2) is dpd.sine_record(2), (
+    assert dpd.observe.wave_of(2) is dpd.observe.wave_of(2), (
         "one object for each, or every run compiles anew"
     )
 
@@ -147,9 +148,9 @@ def test_control_variate_removes_noise_and_keeps_the_mean():
     rng = np.random.default_rng(0)
     noise, signal = rng.normal(size=(2, REPLICAS, FRAMES))
     cleaned = controlled(1.0 + 0.1 * signal + 2.0 * noise, noise)
-    plain = dpd.block_average(1.0 + 0.1 * signal + 2.0 * noise)
-    assert dpd.block_average(cleaned).error < 0.3 * plain.error
-    assert dpd.block_average(cleaned).deviation(1.0) < 4
+    plain = dpd.measure.block_average(1.0 + 0.1 * signal + 2.0 * noise)
+    assert dpd.measure.block_average(cleaned).error < 0.3 * plain.error
+    assert dpd.measure.block_average(cleaned).deviation(1.0) < 4
     assert np.all(controlled(signal, np.zeros_like(noise)) == signal)
 
 
@@ -167,9 +168,9 @@ def test_replicas_are_pooled_after_the_start():
 def test_numbers_that_a_vmap_repeated_are_pooled():
     many = lambda x: np.full(REPLICAS, x)
     flux = {"flux_integral": stress(0, 1.0)}
-    assert dpd.einstein_helfand(
+    assert dpd.measure.einstein_helfand(
         trajectory(flux, kT=many(KT), dt=many(DT)), window=1.0
-    ) == dpd.einstein_helfand(trajectory(flux), window=1.0)
+    ) == dpd.measure.einstein_helfand(trajectory(flux), window=1.0)
     sheared = {"pressure_tensor": stress(1, 1.0)}
     one, repeated = (
         dpd.shear_viscosity(trajectory(sheared, dpd.shear(rate))) for rate in (0.2, many(0.2))
@@ -187,7 +188,7 @@ def test_shear_viscosity_of_a_real_run(ideal, key):
         0.02,
         dpd.Plan(300, 10),
         dpd.shear(0.5),
-        observe=dpd.mean(dpd.shear_record),
+        observe=dpd.observe.shear_record,
         progress=False,
     )
     eta = dpd.shear_viscosity(run)
@@ -201,11 +202,18 @@ def test_sinusoidal_viscosity_of_a_real_run(ideal, key):
     state = dpd.initial_state(ideal, key, box=[3.0, 10.0, 3.0], density=RHO, skin=0.2)
     wave = jnp.sin(2 * jnp.pi * state.position[:, 1] / 10.0)
     state = dataclasses.replace(state, velocity=state.velocity.at[:, 0].add(wave - wave.mean()))
-    flow = dpd.sinusoidal_force(0.16, side=10.0)
+    flow = dpd.flows.sinusoidal_force(0.16, side=10.0)
     run = dpd.run(
-        ideal, state, key, 0.02, dpd.Plan(80, 40), flow, observe=dpd.sine_record(), progress=False
+        ideal,
+        state,
+        key,
+        0.02,
+        dpd.Plan(80, 40),
+        flow,
+        observe=dpd.observe.wave_of(),
+        progress=False,
     )
-    assert dpd.sinusoidal_viscosity(run).value == pytest.approx(0.91 * 1.26, rel=0.2)
+    assert dpd.measure.sinusoidal_viscosity(run).value == pytest.approx(0.91 * 1.26, rel=0.2)
     assert np.allclose(run.frames["momentum"], 0, atol=1e-9)
 
 
@@ -216,9 +224,13 @@ RECORD = {"temperature": np.ones((REPLICAS, FRAMES))}
     "measure, flow, missing",
     [
         (dpd.shear_viscosity, dpd.shear(0.2), "pressure_tensor"),
-        (lambda t: dpd.green_kubo(t, window=1.0), None, "flux"),
-        (lambda t: dpd.einstein_helfand(t, window=1.0), None, "flux_integral"),
-        (dpd.sinusoidal_viscosity, dpd.sinusoidal_force(0.1, side=5.0), "wave_velocity"),
+        (lambda t: dpd.measure.green_kubo(t, window=1.0), None, "flux"),
+        (lambda t: dpd.measure.einstein_helfand(t, window=1.0), None, "flux_integral"),
+        (
+            dpd.measure.sinusoidal_viscosity,
+            dpd.flows.sinusoidal_force(0.1, side=5.0),
+            "wave_velocity",
+        ),
     ],
     ids=["shear", "green_kubo", "einstein_helfand", "sine"],
 )
@@ -231,15 +243,15 @@ def test_run_without_the_flow():
     pressure = {"pressure_tensor": np.zeros((REPLICAS, FRAMES, 3, 3))}
     with pytest.raises(ValueError, match=r"had no shear; run it with flow=dpd.shear\(rate\)"):
         dpd.shear_viscosity(trajectory(pressure))
-    with pytest.raises(ValueError, match="had no dpd.sinusoidal_force"):
-        dpd.sinusoidal_viscosity(trajectory(pressure, dpd.shear(0.2)))
+    with pytest.raises(ValueError, match="had no dpd.flows.sinusoidal_force"):
+        dpd.measure.sinusoidal_viscosity(trajectory(pressure, dpd.shear(0.2)))
 
 
 def test_window_too_long_for_the_run():
     with pytest.raises(
         ValueError, match="4000 frames of 4 replicas are too few for a window of 5000: run longer"
     ):
-        dpd.einstein_helfand(trajectory({"flux_integral": stress(0, 1.0)}), window=100.0)
+        dpd.measure.einstein_helfand(trajectory({"flux_integral": stress(0, 1.0)}), window=100.0)
 
 
 @pytest.mark.parametrize(
@@ -263,4 +275,4 @@ def test_scan_is_not_pooled(scan, name):
         dpd.shear_viscosity(trajectory(frames, **({"flow": dpd.shear(0.2)} | scan)))
     if "flow" not in scan:
         with refused:
-            dpd.einstein_helfand(trajectory(frames, **scan), window=1.0)
+            dpd.measure.einstein_helfand(trajectory(frames, **scan), window=1.0)

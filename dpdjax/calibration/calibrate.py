@@ -186,13 +186,13 @@ def calibrate(
     fluid = fluid.set(energies="keep", **{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
     say(f"equilibrating {boxes} boxes")
-    bench = _bench(fluid, goal, key, density, box, boxes, dt, say)
+    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, say)
     wanted = tolerance * abs(goal.target) / SIGMAS
 
     x, points, proposal = math.log(guess), [], None
     while True:
         fluid = fluid.set(energies="keep", **{parameter: math.exp(x)})
-        bench.goal = _goal(
+        ensemble.goal = _goal(
             fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance
         )
         say(f"{parameter} {math.exp(x):.4g}: measuring")
@@ -200,7 +200,7 @@ def calibrate(
         error = 3.0 * wanted if coarse else 0.9 * wanted
         points.append(
             _measure_point(
-                bench,
+                ensemble,
                 fluid,
                 parameter,
                 x,
@@ -219,16 +219,16 @@ def calibrate(
         answer = proposal.curve.at(proposal.x)
         if proposal.why == "root" and _is_near(points, proposal) and answer.error <= wanted:
             break
-        if len(points) >= MAX_POINTS or bench.steps > max_particle_steps:
-            raise TargetError(_gave_up(points, goal, parameter, bench), tuple(points))
+        if len(points) >= MAX_POINTS or ensemble.steps > max_particle_steps:
+            raise TargetError(_gave_up(points, goal, parameter, ensemble), tuple(points))
         x = proposal.x
 
     value = math.exp(proposal.x)
     error = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
     fluid = fluid.set(energies="keep", **{parameter: value})
-    bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, Domain.FRESH_RUN))(bench.keys)
+    experiment.begin_afresh(ensemble)
     settle = 0.5 * thermal_time(fluid)
-    fresh = experiment.measure(bench, fluid, wanted, settle, int(max_particle_steps), say)
+    fresh = experiment.measure(ensemble, fluid, wanted, settle, int(max_particle_steps), say)
     return Calibration(
         parameter,
         goal.name,
@@ -238,9 +238,9 @@ def calibrate(
         fluid,
         tuple(points),
         proposal.curve,
-        bench.step_for(fluid),
-        float(bench.goal.flow.rate),
-        bench.steps,
+        ensemble.step_for(fluid),
+        float(ensemble.goal.flow.rate),
+        ensemble.steps,
         clock.seconds,
         fresh.temperature,
         clock.compile_seconds,
@@ -276,17 +276,17 @@ def measure_viscosity(
     goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
     say = report or (lambda text: None)
     say(f"equilibrating {boxes} boxes")
-    bench = _bench(fluid, goal, key, density, box, boxes, dt, say)
+    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, say)
     settle = thermal_time(fluid)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
-    first = experiment.measure(bench, fluid, wanted, settle, most, say)
+    first = experiment.measure(ensemble, fluid, wanted, settle, most, say)
     result = first
     wanted = tolerance * abs(first.estimate.value) / SIGMAS
     if first.estimate.error > wanted:
-        result = experiment.measure(bench, fluid, wanted, 0.0, most, say)
+        result = experiment.measure(ensemble, fluid, wanted, 0.0, most, say)
     spent = {
-        "particle_steps": bench.steps,
+        "particle_steps": ensemble.steps,
         "seconds": clock.seconds,
         "compile_seconds": clock.compile_seconds,
     }
@@ -304,23 +304,23 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         )
     for name in parameters:
         _first_guess(fluid, name, None, None, density)
-    benches, key = [], jax.random.fold_in(key, Domain.GOAL)
+    ensembles, key = [], jax.random.fold_in(key, Domain.GOAL)
     for k, (name, value) in enumerate(wishes.items()):
         one = {name: value}
         _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)
         wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
-        benches.append(
-            _bench(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, say)
+        ensembles.append(
+            _ensemble(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, say)
         )
-    return descend(fluid, parameters, benches, tolerance, optimiser, MAX_POINTS, say)
+    return descend(fluid, parameters, ensembles, tolerance, optimiser, MAX_POINTS, say)
 
 
-def _measure_point(bench, fluid, parameter, x, error, first, most, say) -> Point:
+def _measure_point(ensemble, fluid, parameter, x, error, first, most, say) -> Point:
     settle = (1.0 if first else 0.5) * thermal_time(fluid)
-    value = experiment.measure(bench, fluid, error, settle, int(most), say).estimate
-    windows = max(1, -(-SLOPE_SAMPLES // bench.state.position.shape[0]))
-    (slope,) = experiment.measure_slopes(bench, fluid, (parameter,), windows)
+    value = experiment.measure(ensemble, fluid, error, settle, int(most), say).estimate
+    windows = max(1, -(-SLOPE_SAMPLES // ensemble.state.position.shape[0]))
+    (slope,) = experiment.measure_slopes(ensemble, fluid, (parameter,), windows)
     return Point(x, value, slope)
 
 
@@ -330,7 +330,7 @@ def _density(fluid, density) -> float:
     )
 
 
-def _bench(fluid, goal, key, density, box, boxes, dt, say):
+def _ensemble(fluid, goal, key, density, box, boxes, dt, say):
     side = 10.0 * max(fluid.reaches()) if box is None else box
     return experiment.prepare(
         fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt, report=say
@@ -437,10 +437,10 @@ def _is_near(points, proposal) -> bool:
     return min(abs(p.x - proposal.x) for p in points) < NEAR
 
 
-def _gave_up(points, goal, parameter, bench) -> str:
+def _gave_up(points, goal, parameter, ensemble) -> str:
     best = min(points, key=lambda p: abs(p.value.value - goal.target))
     return (
-        f"no answer after {len(points)} points and {bench.steps:.2g} particle-steps: nearest is "
+        f"no answer after {len(points)} points and {ensemble.steps:.2g} particle-steps: nearest is "
         f"{goal.name} {best.value} at {parameter} = {math.exp(best.x):.3g}, wanted "
         f"{goal.target:g}; allow more max_particle_steps, a larger tolerance, or give a guess"
     )

@@ -30,6 +30,7 @@ from dpdjax.model.advice import suggest_dt, suggest_skin
 from dpdjax.model.laws import central_drag
 from dpdjax.model.rates import damping_rate, thermal_time
 from dpdjax.model.term import term
+from dpdjax.pairs.noise import Domain
 from dpdjax.prepare.start import initial_state
 from dpdjax.xla import each_member
 
@@ -46,7 +47,7 @@ WINDOW_FRAMES = 16
 
 
 @dataclasses.dataclass
-class Bench:
+class Ensemble:
     """Boxes that stay in their stationary state from one point to the next.
 
     Attributes:
@@ -77,9 +78,15 @@ class Bench:
         return int(np.prod(self.state.position.shape[:2]))
 
 
+def begin_afresh(ensemble):
+    """Let the boxes go on with noise that no earlier measurement has seen."""
+    fresh = lambda key: jax.random.fold_in(key, Domain.FRESH_RUN)
+    ensemble.keys = jax.vmap(fresh)(ensemble.keys)
+
+
 def prepare(
     fluid, goal: Goal, key, *, density, side, boxes, dt=None, report=lambda text: None
-) -> Bench:
+) -> Ensemble:
     """A batch of boxes in equilibrium.
 
     Equilibrium does not depend on the drag, so the boxes are equilibrated with a weak one
@@ -101,9 +108,9 @@ def prepare(
     _check_dt(fluid, state, step)
     check_observed(goal, fluid, jax.tree.map(lambda leaf: leaf[0], state))
     keys = jax.random.split(noise_key, boxes)
-    bench = Bench(fluid, goal, density, complete_lists(state), keys, dt, report=report)
-    _equilibrate(bench)
-    return bench
+    ensemble = Ensemble(fluid, goal, density, complete_lists(state), keys, dt, report=report)
+    _equilibrate(ensemble)
+    return ensemble
 
 
 EQUILIBRATION = Plan(10, 50)
@@ -112,13 +119,13 @@ WEAK = 1.9
 of one at density 3."""
 
 
-def _equilibrate(bench):
-    weak = weakly_damped(bench.fluid, bench.density)
+def _equilibrate(ensemble):
+    weak = weakly_damped(ensemble.fluid, ensemble.density)
     thermal = thermal_time(weak)
-    dt = min(0.01 * thermal, 2 * suggest_dt(weak, bench.density))
+    dt = min(0.01 * thermal, 2 * suggest_dt(weak, ensemble.density))
     for _ in range(math.ceil(5 * thermal / (dt * EQUILIBRATION.steps) * (1 - 1e-6))):
-        bench.state, _ = _replayed(bench, System.of(weak, dt), EQUILIBRATION, standard)
-        bench.steps += EQUILIBRATION.steps * bench.beads
+        ensemble.state, _ = _replayed(ensemble, System.of(weak, dt), EQUILIBRATION, standard)
+        ensemble.steps += EQUILIBRATION.steps * ensemble.beads
 
 
 def weakly_damped(fluid, density: float):
@@ -168,64 +175,66 @@ class Measurement:
         return f"{self.estimate} ({cost}, dt {self.dt:.3g}, rate {self.rate:.3g})"
 
 
-def measure(bench: Bench, fluid, error: float, settle: float, most: int, report) -> Measurement:
+def measure(
+    ensemble: Ensemble, fluid, error: float, settle: float, most: int, report
+) -> Measurement:
     """Run until the mean of the goal has the wanted standard error.
 
     Args:
-        bench: the boxes; they are moved along.
+        ensemble: the boxes; they are moved along.
         fluid: the fluid now.
         error: wanted standard error.
         settle: time left out at the start.
         most: particle-steps at most.
         report: ``report(text)``, told of the progress.
     """
-    dt = bench.step_for(fluid)
-    _check_dt(fluid, bench.state, dt)
+    dt = ensemble.step_for(fluid)
+    _check_dt(fluid, ensemble.state, dt)
     piece_time = dt * PIECE.steps
     for _ in range(math.ceil(settle / piece_time)):
-        _extend(bench, fluid, dt)
+        _extend(ensemble, fluid, dt)
     series, noise, heat, spent = [], [], [], 0
     block = math.ceil(REMEMBERED * thermal_time(fluid) / piece_time)
-    pieces = -(-max(LEAST_PIECES, LEAST_BLOCKS * block) // bench.state.position.shape[0])
+    pieces = -(-max(LEAST_PIECES, LEAST_BLOCKS * block) // ensemble.state.position.shape[0])
     while True:
-        frames = _extend(bench, fluid, dt)
-        spent += PIECE.steps * bench.beads
+        frames = _extend(ensemble, fluid, dt)
+        spent += PIECE.steps * ensemble.beads
         heat.append(np.mean(frames.get("temperature", math.nan)))
-        _refuse_heat(bench, fluid, dt, heat[-1])
+        _refuse_heat(ensemble, fluid, dt, heat[-1])
         series.append(frames["value"])
         noise.append(frames.get("noise"))
         if len(series) < pieces and spent < most:
             continue
-        estimate = _estimate(series, noise, bench.goal.scale, block)
-        report(f"{bench.goal.name} {estimate}, wanted error {error:.2g}")
+        estimate = _estimate(series, noise, ensemble.goal.scale, block)
+        report(f"{ensemble.goal.name} {estimate}, wanted error {error:.2g}")
         if estimate.error <= error or spent >= most:
             break
         pieces = planned(len(series), estimate.error / error)
     # What short runs of few beads scatter by is no heat.
-    _tell_heat(bench, fluid, dt, np.mean(heat) - 2 * np.std(heat) / math.sqrt(len(heat)))
+    _tell_heat(ensemble, fluid, dt, np.mean(heat) - 2 * np.std(heat) / math.sqrt(len(heat)))
     count = len(series) * PIECE.frames
     times = dt * PIECE.every * np.arange(1, count + 1)
-    values = bench.goal.scale * np.concatenate(series, axis=1)
-    rate, temperature = float(bench.goal.flow.rate), float(np.mean(heat))
-    spent = bench.steps
+    values = ensemble.goal.scale * np.concatenate(series, axis=1)
+    rate, temperature = float(ensemble.goal.flow.rate), float(np.mean(heat))
+    spent = ensemble.steps
     return Measurement(
-        estimate, values, times, dt, rate, spent, temperature=temperature, name=bench.goal.name
+        estimate, values, times, dt, rate, spent, temperature=temperature, name=ensemble.goal.name
     )
 
 
-def _tell_heat(bench, fluid, dt, temperature):
+def _tell_heat(ensemble, fluid, dt, temperature):
     """Warn where the whole measurement was warmer than the wanted fluid."""
     if math.isnan(temperature) or temperature <= (1 + WARM) * float(fluid.kT):
         return
     warnings.warn(
-        f"{bench.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % above "
-        f"kT, with shear rate {float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller "
-        "rate= or dt=",
+        f"{ensemble.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % "
+        f"above kT, with shear rate {float(ensemble.goal.flow.rate):.3g} and dt {dt:.3g}: give a "
+        "smaller rate= or dt=",
         stacklevel=2,
     )
 
 
-def _refuse_heat(bench, fluid, dt, temperature):
+def _refuse_heat(ensemble, fluid, dt, temperature):
     """Raise where the flow, or too long a step, keeps the beads far from kT."""
     if math.isnan(temperature):
         return
@@ -233,8 +242,8 @@ def _refuse_heat(bench, fluid, dt, temperature):
     if temperature > (1 + HOT) * kT:
         raise RuntimeError(
             f"the fluid runs at a temperature of {temperature:.3g} instead of kT = {kT:.3g}, with "
-            f"shear rate {float(bench.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller rate= "
-            "or dt="
+            f"shear rate {float(ensemble.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller "
+            "rate= or dt="
         )
 
 
@@ -244,20 +253,20 @@ def _check_dt(fluid, state, dt):
     check_dt(System.of(fluid, dt), jax.tree.map(lambda leaf: leaf[0], state))
 
 
-def _extend(bench, fluid, dt):
-    plan, goal = PIECE, bench.goal
+def _extend(ensemble, fluid, dt):
+    plan, goal = PIECE, ensemble.goal
     system = System.of(fluid, dt, goal.flow)
-    bench.state, frames = _replayed(bench, system, plan, mean(goal.observe))
-    bench.steps += plan.steps * bench.beads
+    ensemble.state, frames = _replayed(ensemble, system, plan, mean(goal.observe))
+    ensemble.steps += plan.steps * ensemble.beads
     return jax.device_get(frames)
 
 
-def _replayed(bench, system: System, plan, observe):
-    """:func:`replayed` from the states of a bench, with an error where growth could not repair the
-    run."""
-    say = lambda: bench.report("compiling")
+def _replayed(ensemble, system: System, plan, observe):
+    """:func:`replayed` from the states of an ensemble, with an error where growth could not repair
+    the run."""
+    say = lambda: ensemble.report("compiling")
     after, frames = replayed(
-        system, bench.state, bench.keys, plan, tuple(recorders(observe)), compiling=say
+        system, ensemble.state, ensemble.keys, plan, tuple(recorders(observe)), compiling=say
     )
     trouble = bits.describe(after.status)
     if trouble:
@@ -310,42 +319,44 @@ def window_time(fluid, density: float) -> float:
     )
 
 
-def measure_slopes(bench: Bench, fluid, names: tuple[str, ...], windows: int) -> list[Estimate]:
+def measure_slopes(
+    ensemble: Ensemble, fluid, names: tuple[str, ...], windows: int
+) -> list[Estimate]:
     """Slopes of the goal in the logarithm of each parameter, from short tangent windows.
 
     Starts in the stationary state of ``fluid``, switches the tangent on and follows
     ``d value / d ln parameter`` by forward mode; the boxes move along.
     """
-    dt = bench.step_for(fluid)
-    every = max(1, round(window_time(fluid, bench.density) / dt / WINDOW_FRAMES))
+    dt = ensemble.step_for(fluid)
+    every = max(1, round(window_time(fluid, ensemble.density) / dt / WINDOW_FRAMES))
     plan = Plan(WINDOW_FRAMES, every)
     tangents = [[] for _ in names]
     for _ in range(windows):
         for k in range(len(names)):
-            slopes = window_tangents(bench, fluid, names, k, dt, plan)
-            tangents[k].append(bench.goal.scale * np.asarray(slopes, float))
-            bench.steps += plan.steps * bench.beads
+            slopes = window_tangents(ensemble, fluid, names, k, dt, plan)
+            tangents[k].append(ensemble.goal.scale * np.asarray(slopes, float))
+            ensemble.steps += plan.steps * ensemble.beads
     return [plateau(np.concatenate(t)) for t in tangents]
 
 
-def window_tangents(bench, fluid, names, k, dt, plan):
+def window_tangents(ensemble, fluid, names, k, dt, plan):
     """One window for all boxes along parameter ``k`` of those named, replayed with larger lists
     where one overflows."""
-    trips, shape, goal = trips_of(plan), shape_of(plan, bench.beads), bench.goal
+    trips, shape, goal = trips_of(plan), shape_of(plan, ensemble.beads), ensemble.goal
     along = np.eye(len(names))[k]
     for _ in range(8):
-        arguments = (System.of(fluid, dt, goal.flow), bench.state, bench.keys, along)
+        arguments = (System.of(fluid, dt, goal.flow), ensemble.state, ensemble.keys, along)
         if is_new(arguments, (names, shape, "tangent"), (goal.observe,)):
-            bench.report("compiling")
+            ensemble.report("compiling")
         slopes, after = _tangent(*arguments, trips, names, shape, goal.observe)
         slopes = slopes[:, : plan.frames]
         status = np.bitwise_or.reduce(np.asarray(after.status))
         if not status:
-            bench.state = after
+            ensemble.state = after
             return slopes
         if status & ~np.uint32(bits.OVERFLOWS):
             break
-        bench.state = grow(bench.state)
+        ensemble.state = grow(ensemble.state)
     raise RuntimeError(f"tangent window failed: {bits.describe(status)}")
 
 

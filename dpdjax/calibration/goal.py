@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from dpdjax.engine.deformation import shear
 from dpdjax.engine.flow import Flow
-from dpdjax.engine.observables import pressure_tensor, static_pressure, temperature
+from dpdjax.engine.observables import STATIC, pressure_tensor, temperature
 from dpdjax.model.rates import damping_rate, kinetic_theory_viscosity, thermal_time
 
 
@@ -61,7 +61,7 @@ def pressure_goal(target: float) -> Goal:
 
 
 def _pressure(fluid, state):
-    return {"value": jnp.trace(static_pressure(fluid, state)) / 3.0}
+    return {"value": jnp.trace(pressure_tensor(fluid, state, STATIC)) / 3.0}
 
 
 def custom_goal(target: float, observe: Callable, flow=None, name: str = "value") -> Goal:
@@ -74,7 +74,7 @@ def _named(observe):
     return lambda fluid, state: {"value": observe(fluid, state)}
 
 
-ONE_NUMBER = "give a function of one number, such as observe=dpd.temperature"
+ONE_NUMBER = "give a function of one number, such as observe=dpd.observe.temperature"
 
 
 def check_observed(goal: Goal, fluid, state):

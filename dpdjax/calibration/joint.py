@@ -4,14 +4,12 @@ import dataclasses
 import math
 from typing import Any
 
-import jax
 import numpy as np
 import optax
 
 from dpdjax.calibration import experiment
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.rates import thermal_time
-from dpdjax.pairs.noise import Domain
 
 SIGMAS = 3.0
 """Standard errors that fit into a tolerance."""
@@ -67,7 +65,9 @@ def default_optimiser() -> optax.GradientTransformation:
     return optax.chain(optax.clip(0.4), optax.sgd(0.8))
 
 
-def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) -> JointCalibration:
+def descend(
+    fluid, parameters, ensembles, tolerance, optimiser, most_points, say
+) -> JointCalibration:
     """Follow an optimiser to the parameters at which every goal is met, then fit and check.
 
     The gradient handed to the optimiser is that of ``sum ((value - target)/target)^2 / 2`` in the
@@ -76,7 +76,7 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
 
     Raises RuntimeError where the error bars are not met after ``most_points``.
     """
-    goals = [bench.goal for bench in benches]
+    goals = [ensemble.goal for ensemble in ensembles]
     optimiser = default_optimiser() if optimiser is None else optimiser
     x = np.array([math.log(float(fluid.value(name))) for name in parameters])
     state, points = optimiser.init(x), []
@@ -84,7 +84,13 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
     while len(points) < most_points:
         points.append(
             _measure(
-                fluid, parameters, benches, x, [1.5 * w for w in wanted], first=not points, say=say
+                fluid,
+                parameters,
+                ensembles,
+                x,
+                [1.5 * w for w in wanted],
+                first=not points,
+                say=say,
             )
         )
         say(
@@ -102,7 +108,7 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
             f"no answer after {most_points} points, the last at {dict(zip(parameters, np.exp(x)))}"
         )
     fluid = fluid.set(energies="keep", **{n: math.exp(v) for n, v in zip(parameters, answer)})
-    fresh = _fresh(fluid, benches, wanted, say)
+    fresh = _fresh(fluid, ensembles, wanted, say)
     errors = np.exp(answer) * np.sqrt(np.diag(covariance))
     estimates = {
         n: Estimate(math.exp(v), float(e), len(points))
@@ -110,7 +116,7 @@ def descend(fluid, parameters, benches, tolerance, optimiser, most_points, say) 
     }
     measured = {goal.name: f for goal, f in zip(goals, fresh)}
     return JointCalibration(
-        estimates, measured, fluid, tuple(points), sum(b.steps for b in benches)
+        estimates, measured, fluid, tuple(points), sum(b.steps for b in ensembles)
     )
 
 
@@ -159,22 +165,22 @@ def _plane(points, k, centre):
     return covariance @ design.T @ np.array(wanted), covariance
 
 
-def _measure(fluid, parameters, benches, x, errors, first, say) -> JointPoint:
+def _measure(fluid, parameters, ensembles, x, errors, first, say) -> JointPoint:
     fluid = fluid.set(energies="keep", **{n: math.exp(v) for n, v in zip(parameters, x)})
     settle = (1.0 if first else 0.5) * thermal_time(fluid)
     values, slopes = [], []
-    for bench, error in zip(benches, errors):
-        values.append(experiment.measure(bench, fluid, error, settle, int(1e9), say).estimate)
-        windows = max(1, -(-8 // bench.state.position.shape[0]))
-        slopes.append(tuple(experiment.measure_slopes(bench, fluid, tuple(parameters), windows)))
+    for ensemble, error in zip(ensembles, errors):
+        values.append(experiment.measure(ensemble, fluid, error, settle, int(1e9), say).estimate)
+        windows = max(1, -(-8 // ensemble.state.position.shape[0]))
+        slopes.append(tuple(experiment.measure_slopes(ensemble, fluid, tuple(parameters), windows)))
     return JointPoint(np.asarray(x), tuple(values), tuple(slopes))
 
 
-def _fresh(fluid, benches, wanted, say):
+def _fresh(fluid, ensembles, wanted, say):
     settle = 0.5 * thermal_time(fluid)
-    for bench in benches:
-        bench.keys = jax.vmap(lambda k: jax.random.fold_in(k, Domain.FRESH_RUN))(bench.keys)
+    for ensemble in ensembles:
+        experiment.begin_afresh(ensemble)
     return [
         experiment.measure(b, fluid, w, settle, int(1e9), say).estimate
-        for b, w in zip(benches, wanted)
+        for b, w in zip(ensembles, wanted)
     ]

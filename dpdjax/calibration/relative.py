@@ -29,7 +29,7 @@ def relative_viscosity(
 
     Args:
         trajectory: a run with ``flow=dpd.shear(rate)`` recorded with
-            ``observe=dpd.mean(dpd.shear_record)``, one or replicas.
+            ``observe=dpd.observe.shear_record``, one or replicas.
         solvent: viscosity of the solvent, where it is known; measured by default.
         key: a PRNG key for that measurement.
         tolerance: of that measurement, relative; its standard error is a third.

@@ -15,8 +15,9 @@ from dpdjax.engine.batching import chosen
 class Part:
     """What deformations, drivers and integrators have in common.
 
-    One of your own is a frozen dataclass derived from ``dpd.Deformation``, ``dpd.Driver`` or
-    ``dpd.Integrator`` and registered with ``jax.tree_util.register_dataclass``, its numbers leaves.
+    One of your own is a frozen dataclass derived from ``dpd.flows.Deformation``,
+    ``dpd.flows.Driver`` or ``dpd.integrators.Integrator`` and registered with
+    ``jax.tree_util.register_dataclass``, its numbers leaves.
 
     Attributes:
         ranks: of each number that may differ from member to member of a batch, by name, how many

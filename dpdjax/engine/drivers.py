@@ -21,11 +21,11 @@ class Driver(Part):
 
         A driver with demands of its own adds them, and calls this one by ``super()``.
         """
-        turning = 0 if state.rotation is None else state.rotation.m
+        rotating = 0 if state.rotation is None else state.rotation.m
         mass = jnp.ones((state.n, 1), state.position.dtype)
         answers = {
             "force": (lambda one: one.force(state, mass), (state.n, 3)),
-            "torque": (lambda one: one.torque(state), (turning, 3)),
+            "torque": (lambda one: one.torque(state), (rotating, 3)),
         }
         check_answers(self, state, answers)
 
@@ -77,7 +77,7 @@ class Wave(BodyForce):
                 raise ValueError(
                     "the body force is not periodic along y: "
                     f"{np.array2string(waves, precision=4)} waves in a side of {float(side):.4g}; "
-                    f"use dpd.sinusoidal_force(amplitude, side={float(side):.6g}, waves=...)"
+                    f"use dpd.flows.sinusoidal_force(amplitude, side={float(side):.6g}, waves=...)"
                 )
         super().check(fluid, state)
 
@@ -87,10 +87,10 @@ class Wave(BodyForce):
 class Drive(Driver):
     """A force and a torque on every bead of one species, the rest held back; see :func:`drive`."""
 
-    ranks = {"push": 1, "twist": 1}
+    ranks = {"applied_force": 1, "applied_torque": 1}
 
-    push: Any
-    twist: Any
+    applied_force: Any
+    applied_torque: Any
     species: int = dataclasses.field(metadata={"static": True})
     reaction: str = dataclasses.field(metadata={"static": True})
 
@@ -104,15 +104,17 @@ class Drive(Driver):
         """Force on each bead (n, 3), without a net one."""
         driven = (state.species == self.species)[:, None].astype(state.position.dtype)
         bearing = mass if self.reaction == "all" else mass * (1.0 - driven)
-        push = self.push[None, :]
-        return driven * push - bearing * (jnp.sum(driven) * push / jnp.sum(bearing))
+        applied_force = self.applied_force[None, :]
+        return driven * applied_force - bearing * (
+            jnp.sum(driven) * applied_force / jnp.sum(bearing)
+        )
 
     def torque(self, state):
         """Torque on each bead that rotates (m, 3), or None where none does."""
         if state.rotation is None:
             return None
-        turning = state.species[state.rotation.slots] == self.species
-        return jnp.where(turning[:, None], self.twist[None, :], 0.0)
+        rotating = state.species[state.rotation.slots] == self.species
+        return jnp.where(rotating[:, None], self.applied_torque[None, :], 0.0)
 
 
 def body_force(
@@ -155,12 +157,16 @@ def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> 
     """
     if reaction not in ("all", "others"):
         raise ValueError(f'reaction is {reaction!r}; it is "all" or "others"')
-    push, twist = (
+    applied_force, applied_torque = (
         _along_x(number(x, name), name) for x, name in ((force, "force"), (torque, "torque"))
     )
-    if is_concrete(push, twist) and not jnp.any(push) and not jnp.any(twist):
+    if (
+        is_concrete(applied_force, applied_torque)
+        and not jnp.any(applied_force)
+        and not jnp.any(applied_torque)
+    ):
         raise ValueError("nothing is driven: give force=... or torque=...")
-    return Drive(push, twist, species, reaction)
+    return Drive(applied_force, applied_torque, species, reaction)
 
 
 def _along_x(value, name: str):
@@ -207,8 +213,8 @@ def check_driven(flow, state) -> None:
         raise ValueError(
             'all beads are driven, and reaction="others" has none to act on; use reaction="all"'
         )
-    turning = () if state.rotation is None else there[state.rotation.slots]
-    if np.any(np.asarray(flow.twist)) and flow.species not in turning:
+    rotating = () if state.rotation is None else there[state.rotation.slots]
+    if np.any(np.asarray(flow.applied_torque)) and flow.species not in rotating:
         raise ValueError(
             f"beads of species {flow.species} do not rotate, and a torque is given: give them an "
             "inertia"
@@ -241,7 +247,7 @@ def check_faces(flow, state) -> None:
                 raise ValueError(
                     f"the body force is not periodic along {'xyz'[axis]}: it jumps at the face of "
                     f"a box of sides {sides.tolist()}; give it a whole number of periods in that "
-                    "side, or dpd.body_force(..., jumps=True) where it is meant to jump"
+                    "side, or dpd.flows.body_force(..., jumps=True) where it is meant to jump"
                 )
 
 

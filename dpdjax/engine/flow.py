@@ -9,8 +9,8 @@ from dpdjax.engine.deformation import Deformation, Still
 from dpdjax.engine.drivers import Driver
 
 KNOWN = (
-    "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.body_force(...), dpd.drive(...), a list of "
-    "them, an object of a class derived from dpd.Deformation or dpd.Driver"
+    "dpd.shear(rate), dpd.oscillatory_shear(...), dpd.flows.body_force(...), dpd.drive(...), a "
+    "list of them, an object of a class derived from dpd.flows.Deformation or dpd.flows.Driver"
 )
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
 from dpdjax.engine.forces import forces_on, update_lists
-from dpdjax.engine.rotation import turn_by
+from dpdjax.engine.rotation import rotation_step
 from dpdjax.engine.state import State
 from dpdjax.model import advice
 from dpdjax.model.beads import inertias, masses
@@ -26,9 +26,9 @@ class Integrator(Part):
     :func:`settled` are the parts.
     """
 
-    def step(self, system, state: State, key, tally: bool) -> State:
-        """The state a step of ``system.dt`` later, its force known; ``tally`` (static): with the
-        sums over pairs."""
+    def step(self, system, state: State, key, tally) -> State:
+        """The state a step of ``system.dt`` later, its force known; ``tally``, for
+        :func:`forces_on`: whether with the sums over pairs."""
         raise NotImplementedError(f"{type(self).__name__} has no step(system, state, key, tally)")
 
     def start(self, system, state: State, key) -> State:
@@ -63,7 +63,7 @@ class VelocityVerlet(Integrator):
     | v~ = v + lambda dt f / m            | ``predicted``                          |
     | f' = F(r, v~), noise of step + 1    | :func:`forces_on`                      |
     | v += dt (f + f') / 2m               | :func:`settled`                        |
-    | the same for angles, with I for m   | ``turning``, ``rotated``               |
+    | the same for angles, with I for m   | ``rotation_drifted``, ``_settled``     |
 
     Attributes:
         lam: weight of the old force in the predicted velocity, ``lambda``.
@@ -73,7 +73,7 @@ class VelocityVerlet(Integrator):
 
     lam: Any = 0.5
 
-    def step(self, system, state: State, key, tally: bool) -> State:
+    def step(self, system, state: State, key, tally) -> State:
         moved, drift = drifted(system, state, self.lam)
         forces = forces_on(system, moved, drift.predicted(self.lam), key, tally)
         return settled(system, state, moved, drift, forces)
@@ -85,12 +85,12 @@ class Drift(NamedTuple):
     Attributes:
         carried: peculiar velocities, less what the flow gains where beads have moved to.
         kick: ``dt f / m`` of the old force.
-        twist: ``dt T / I`` of the old torque (m, 3), or None.
+        spin_kick: ``dt T / I`` of the old torque (m, 3), or None.
     """
 
     carried: Any
     kick: Any
-    twist: Any
+    spin_kick: Any
 
     def predicted(self, lam):
         """Velocities (n, 3) after the share ``lam`` of a whole old kick."""
@@ -115,8 +115,8 @@ def drifted(system, state: State, lam) -> tuple[State, Drift]:
         moved = update_lists(moved_on(state, move, strain, dt))
     if state.rotation is None:
         return moved, Drift(carried, kick, None)
-    moved, twist = turning(system.fluid, moved, dt, lam)
-    return moved, Drift(carried, kick, twist)
+    moved, spin_kick = rotation_drifted(system.fluid, moved, dt, lam)
+    return moved, Drift(carried, kick, spin_kick)
 
 
 def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -> State:
@@ -125,8 +125,8 @@ def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -
     mass = masses(fluid, before)[None]
     velocity = drift.carried + 0.5 * (drift.kick + dt * forces.force.T / mass)
     moved = dataclasses.replace(moved, velocity=velocity.T)
-    if drift.twist is not None:
-        spin = rotated(fluid, before, moved, drift.twist, forces.torque, dt)
+    if drift.spin_kick is not None:
+        spin = rotation_settled(fluid, before, moved, drift.spin_kick, forces.torque, dt)
         moved = dataclasses.replace(moved, rotation=spin)
     return with_forces(moved, forces)
 
@@ -139,23 +139,23 @@ def with_forces(state: State, forces: Forces) -> State:
     return dataclasses.replace(state, force=forces.force, tally=forces.tally, rotation=rotation)
 
 
-def turning(fluid, state: State, dt, lam):
+def rotation_drifted(fluid, state: State, dt, lam):
     """The state with its spheres turned and their predicted angular velocity, and the kick
     ``dt T / I`` of the old torque."""
     old = state.rotation
-    twist = dt * old.torque / inertias(fluid, state)[:, None]
-    turn = turn_by(old.orientation, dt * (old.velocity + 0.5 * twist))
-    orientation, rest = plus(old.orientation, old.orientation_rest, turn)
+    spin_kick = dt * old.torque / inertias(fluid, state)[:, None]
+    step = rotation_step(old.orientation, dt * (old.velocity + 0.5 * spin_kick))
+    orientation, rest = plus(old.orientation, old.orientation_rest, step)
     new = dataclasses.replace(
-        old, orientation=orientation, orientation_rest=rest, velocity=old.velocity + lam * twist
+        old, orientation=orientation, orientation_rest=rest, velocity=old.velocity + lam * spin_kick
     )
-    return dataclasses.replace(state, rotation=new), twist
+    return dataclasses.replace(state, rotation=new), spin_kick
 
 
-def rotated(fluid, before: State, moved: State, twist, torque, dt):
+def rotation_settled(fluid, before: State, moved: State, spin_kick, torque, dt):
     """The rotation at the end of a step, from that before it."""
     velocity = before.rotation.velocity + 0.5 * (
-        twist + dt * torque / inertias(fluid, moved)[:, None]
+        spin_kick + dt * torque / inertias(fluid, moved)[:, None]
     )
     return dataclasses.replace(moved.rotation, velocity=velocity)
 

@@ -27,7 +27,7 @@ def trouble(fluid, state, dt):
 def _is_hot(fluid, state):
     scale = HOTTEST * (fluid.kT + jnp.abs(state.tally.energy) / state.n)
     hot = temperature(fluid, state) > scale * _spread(3 * state.n - 3)
-    if state.rotation is None or not any(fluid.turns(k) for k in fluid.rotating):
+    if state.rotation is None or not any(fluid.is_turned(k) for k in fluid.rotating):
         return hot & (fluid.kT > 0)
     return (
         hot | (rotational_temperature(fluid, state) > scale * _spread(3 * state.rotation.m))

@@ -16,41 +16,44 @@ from dpdjax.pairs.geometry import Columns, Moment, geometry
 from dpdjax.pairs.laws import evaluate
 from dpdjax.pairs.sums import sum_onto_beads
 
+KINETIC, RANDOM = "kinetic", "random"
+STATIC = (KINETIC, "conservative")
+SMOOTH = (*STATIC, "drag")
+"""Parts of the pressure: what it is in equilibrium; and all but the random one, which has mean zero
+and is only noise."""
 
-def kinetic_pressure(fluid, state):
-    """``sum m c c / V`` from peculiar velocities, (3, 3) [energy / volume]."""
-    weighted = masses(fluid, state)[:, None] * state.velocity
-    return jnp.einsum("na,nb->ab", weighted, state.velocity) / state.box.volume
+
+def pressure_tensor(fluid, state, parts: tuple[str, ...] = SMOOTH):
+    """The pressure tensor (3, 3) [energy / volume], positive in compression.
+
+    Args:
+        parts: what of it: ``"kinetic"``, ``sum m c c / V`` from peculiar velocities;
+            ``"conservative"``, of all potentials; ``"drag"``, of all frictions, odd under time
+            reversal and of mean zero in equilibrium; ``"random"``, that of the noise, wanted where
+            the whole flux of momentum is integrated over time.
+
+    Raises ValueError for another part.
+    """
+    wanted = {origin for part in parts for origin in _origins(fluid, part)}
+    return sum(p for origin, p in _by_origin(fluid, state).items() if origin in wanted)
 
 
-def pressure_by_origin(fluid, state) -> dict:
+def _origins(fluid, part: str) -> tuple[str, ...]:
+    """The names under which a part of the pressure is kept."""
+    if part in (KINETIC, RANDOM):
+        return (part,)
+    if part not in SMOOTH:
+        raise ValueError(f"parts has {part!r}; they are {', '.join((*SMOOTH, RANDOM))}")
+    return fluid.origins_of(part)
+
+
+def _by_origin(fluid, state) -> dict:
     """The pressure tensor by origin, (3, 3) each: kinetic, conservative, drag, random and what
     terms have names for."""
+    weighted = masses(fluid, state)[:, None] * state.velocity
+    kinetic = jnp.einsum("na,nb->ab", weighted, state.velocity) / state.box.volume
     pairs = {origin: virial / state.box.volume for origin, virial in state.tally.virial.items()}
-    return {"kinetic": kinetic_pressure(fluid, state)} | pairs
-
-
-def static_pressure(fluid, state):
-    """Kinetic part and that of all potentials (3, 3) [energy / volume]: in equilibrium the
-    pressure."""
-    parts = pressure_by_origin(fluid, state)
-    return sum(parts[origin] for origin in ("kinetic", *fluid.origins_of("conservative")))
-
-
-def drag_pressure(fluid, state):
-    """Part of all frictions (3, 3) [energy / volume], odd under time reversal."""
-    parts = pressure_by_origin(fluid, state)
-    return sum(parts[origin] for origin in fluid.origins_of("drag"))
-
-
-def pressure_tensor(fluid, state):
-    """All but the random part, which has mean zero and is only noise."""
-    return sum(p for origin, p in pressure_by_origin(fluid, state).items() if origin != "random")
-
-
-def total_pressure(fluid, state):
-    """The whole momentum flux, random part included, for integrals over time."""
-    return pressure_tensor(fluid, state) + state.tally.virial["random"] / state.box.volume
+    return {KINETIC: kinetic} | pairs
 
 
 def temperature(fluid, state):
@@ -61,18 +64,18 @@ def temperature(fluid, state):
 
 def rotational_temperature(fluid, state):
     """``sum I omega^2 / 3 m`` of the m beads that rotate [energy]; ValueError where none does."""
-    turning = _rotation(state)
-    return jnp.mean(inertias(fluid, state)[:, None] * turning.velocity**2)
+    rotation = _rotation(state)
+    return jnp.mean(inertias(fluid, state)[:, None] * rotation.velocity**2)
 
 
 def rotations(fluid, state) -> dict:
     """Angular velocities, torques and orientations of the beads that rotate; ValueError where none
     does."""
-    turning = _rotation(state)
+    rotation = _rotation(state)
     return {
-        "angular_velocity": turning.velocity,
-        "torque": turning.torque,
-        "orientation": turning.orientation,
+        "angular_velocity": rotation.velocity,
+        "torque": rotation.torque,
+        "orientation": rotation.orientation,
     }
 
 
@@ -102,7 +105,7 @@ def standard(fluid, state) -> dict:
 
 def stresses(fluid, state) -> dict:
     """The pressure tensor by origin under the names ``pressure_kinetic`` and so on."""
-    return {f"pressure_{origin}": p for origin, p in pressure_by_origin(fluid, state).items()}
+    return {f"pressure_{origin}": p for origin, p in _by_origin(fluid, state).items()}
 
 
 def positions(fluid, state) -> dict:
@@ -151,7 +154,7 @@ def _slots(fluid, state, species: int) -> tuple[int, int]:
     raise ValueError(
         f"species {species} is no group of its own, the groups of this fluid are "
         f"{', '.join(map(str, groups))}; give it an interaction of its own, "
-        f"dpd.interaction(({species}, {species}), ...), or use observe=dpd.positions"
+        f"dpd.interaction(({species}, {species}), ...), or use observe=dpd.observe.positions"
     )
 
 

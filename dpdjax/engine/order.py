@@ -74,10 +74,10 @@ def permuted(state: State, order) -> State:
     slot = jnp.append(cells.inverse(order), state.n)
     neighbours = tuple(_renumbered(n, order, slot) for n in jax.lax.stop_gradient(state.neighbours))
     beads = jax.tree.map(lambda rows: rows[order], state.beads)
-    turning = state.rotation
-    if turning is not None:
-        turning = jax.tree.map(lambda rows: rows[order[turning.slots] - turning.begin], turning)
-    return dataclasses.replace(state, **beads, neighbours=neighbours, rotation=turning)
+    rotation = state.rotation
+    if rotation is not None:
+        rotation = jax.tree.map(lambda rows: rows[order[rotation.slots] - rotation.begin], rotation)
+    return dataclasses.replace(state, **beads, neighbours=neighbours, rotation=rotation)
 
 
 def _renumbered(neighbours, order, slot):

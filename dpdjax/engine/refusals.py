@@ -70,7 +70,10 @@ def check_kinds(system: System, state):
         part = next((name for name in ("final", "state") if hasattr(state, name)), None)
         cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
         raise TypeError(f"state is a {type(state).__name__}; {cure}")
-    wanted = "dpd.VelocityVerlet(), an object of a class derived from dpd.Integrator"
+    wanted = (
+        "dpd.integrators.VelocityVerlet(), an object of a class derived from "
+        "dpd.integrators.Integrator"
+    )
     check_part(system.integrator, (Integrator,), "integrator", wanted)
 
 
@@ -94,12 +97,12 @@ def check_rotation(fluid, state):
     """Refuse a state whose beads rotate otherwise than those of the fluid."""
     has = state.rotation is not None
     if has != bool(fluid.rotating):
-        turns = lambda yes: "rotate" if yes else "do not"
-        what = f"beads of the fluid {turns(fluid.rotating)} and those of the state {turns(has)}"
+        does = lambda yes: "rotate" if yes else "do not"
+        what = f"beads of the fluid {does(fluid.rotating)} and those of the state {does(has)}"
         raise ValueError(f"{what}: make the state with this fluid")
     if has and is_concrete(state.species):
-        turning = np.isin(np.asarray(state.species), fluid.rotating)
-        if not np.all(turning[state.rotation.slots]) or turning.sum() != state.rotation.m:
+        rotating = np.isin(np.asarray(state.species), fluid.rotating)
+        if not np.all(rotating[state.rotation.slots]) or rotating.sum() != state.rotation.m:
             raise ValueError(
                 "the beads of the state that rotate are of other species: make the state with this "
                 "fluid"
@@ -171,11 +174,11 @@ def list_trouble(fluid, state):
         reach = jnp.stack([jnp.max(r) for r in interaction.reaches(*largest, fluid.kT)])
         trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
         sides = state.box.lengths
-        trouble |= bits.flag(jnp.any(sides < 2 * grid.cut * (1 - 1e-5)), bits.BOX_TOO_SMALL)
+        trouble |= bits.flag(jnp.any(sides < 2 * grid.list_radius * (1 - 1e-5)), bits.BOX_TOO_SMALL)
         if grid.cells is not None:
             across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray(
                 (grid.span, 1, 1), sides.dtype
             )
-            least = across * grid.cut * (1 - 1e-5)
+            least = across * grid.list_radius * (1 - 1e-5)
             trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
     return trouble

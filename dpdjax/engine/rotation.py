@@ -59,7 +59,7 @@ def axis_of(orientation):
     return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
-def turn_by(orientation, angle):
+def rotation_step(orientation, angle):
     """What a small turn by the vectors ``angle`` (m, 3) [radian] adds to unit quaternions (m, 4);
     wrong by angle^3/12."""
     w, v, half = orientation[:, :1], orientation[:, 1:], 0.5 * angle

@@ -75,8 +75,8 @@ class State:
         if len(shape) not in (2, 3):
             return f"State(position={self.position!r}, ...)"
         members = f"{shape[0]} members of " if len(shape) == 3 else ""
-        turning = "" if self.rotation is None else f", {self.rotation.m} of which rotate"
-        return f"State({members}{shape[-2]} beads{turning}, {self._whereabouts()})"
+        rotating = "" if self.rotation is None else f", {self.rotation.m} of which rotate"
+        return f"State({members}{shape[-2]} beads{rotating}, {self._whereabouts()})"
 
     def _whereabouts(self) -> str:
         if not summary.is_known(self.box, self.step, self.time, self.status):

@@ -37,8 +37,8 @@ def gsd_record(fluid, state) -> dict:
     }
     if state.rotation is None:
         return beads
-    turning = rotations(fluid, state)
-    return beads | {name: turning[name] for name in TURNING}
+    rotation = rotations(fluid, state)
+    return beads | {name: rotation[name] for name in TURNING}
 
 
 @contextlib.contextmanager
@@ -130,7 +130,8 @@ def _check_follows(path, fluid, state) -> None:
 
 
 def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
-    """Writes the frames of one run, recorded with ``observe=dpd.gsd_record``, to a new GSD file.
+    """Writes the frames of one run, recorded with ``observe=dpd.observe.gsd_record``, to a new GSD
+    file.
 
     Raises ValueError for a batch or a run that recorded something else, FileExistsError for a file
     that is there, which ``overwrite=True`` replaces.
@@ -144,7 +145,7 @@ def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
     missing = set(wanted) - set(trajectory.frames)
     if missing:
         raise ValueError(
-            f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.gsd_record"
+            f"the run recorded no {', '.join(sorted(missing))}; use observe=dpd.observe.gsd_record"
         )
     if not overwrite:
         refuse_existing(path, "overwrite=True to replace it")
@@ -182,8 +183,8 @@ def run_to_gsd(
     check_kinds(system, state)
     if prng_key(key).ndim or state.position.ndim == 3 or system.is_batch:
         raise ValueError(
-            "a GSD file holds one run; run the batch with observe=dpd.gsd_record and write its "
-            "members by write_gsd"
+            "a GSD file holds one run; run the batch with observe=dpd.observe.gsd_record and write "
+            "its members by write_gsd"
         )
     with contextlib.ExitStack() as stack:
         line = stack.enter_context(Progress(plan, progress))
@@ -228,8 +229,8 @@ def _frame(frame, beads, state, frames, k, flow):
     lengths, strain = np.asarray(state.box.lengths, float), float(frames["strain"][k])
     position = np.array(frames["position"][k], float)
     # Positions are wrapped along x, a file wants them between the tilted faces.
-    turns = np.floor((position[:, 0] - strain * position[:, 1]) / lengths[0])
-    position[:, 0] -= turns * lengths[0]
+    columns = np.floor((position[:, 0] - strain * position[:, 1]) / lengths[0])
+    position[:, 0] -= columns * lengths[0]
     position -= 0.5 * (lengths + np.array([strain * lengths[1], 0.0, 0.0]))
     velocity = np.array(frames["velocity"][k], float)
     if flow is not None:
@@ -242,15 +243,17 @@ def _frame(frame, beads, state, frames, k, flow):
     frame.particles.velocity = velocity.astype(np.float32)
     frame.particles.image = np.asarray(frames["image"][k], np.int32) + np.array(
         [[1, 0, 0]]
-    ) * turns[:, None].astype(np.int32)
+    ) * columns[:, None].astype(np.int32)
     if state.rotation is not None:
         orientation, velocity = (np.asarray(frames[name][k], float) for name in TURNING)
-        turned = _turned(orientation, velocity, state.rotation.slots, beads["moment_inertia"])
-        frame.particles.orientation, frame.particles.angmom = turned
+        both = _orientation_and_momentum(
+            orientation, velocity, state.rotation.slots, beads["moment_inertia"]
+        )
+        frame.particles.orientation, frame.particles.angmom = both
     return frame
 
 
-def _turned(orientation, velocity, slots, inertia):
+def _orientation_and_momentum(orientation, velocity, slots, inertia):
     """Quaternions (n, 4) of orientation and of angular momentum: HOOMD's is ``2 q (0, L')``, L' in
     the axes of the body.
 

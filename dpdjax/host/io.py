@@ -94,9 +94,9 @@ def _assembled(saved: dict, meta: dict) -> State:
 def _skeleton(origins: tuple[str, ...], rotation: int | None) -> State:
     """A state of the same parts, without lists and without numbers."""
     beads = jnp.zeros((1, 3))
-    turning = None if rotation is None else Rotation.of(beads, rotation)
+    spin = None if rotation is None else Rotation.of(beads, rotation)
     species = jnp.zeros(1, jnp.int32)
-    make = lambda: assemble(box(1.0), beads, beads, species, (), origins=origins, rotation=turning)
+    make = lambda: assemble(box(1.0), beads, beads, species, (), origins=origins, rotation=spin)
     return jax.eval_shape(make)
 
 

@@ -36,14 +36,14 @@ def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, flui
     )
     depth = position[:, axis] - 0.5 * thickness
     depth -= sides[axis] * np.round(depth / sides[axis])
-    cut = np.flatnonzero(np.abs(depth) < radius)
+    sliced = np.flatnonzero(np.abs(depth) < radius)
     around = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * sides[flat]
-    for image in around if len(cut) else ():
-        centres = position[cut][:, flat] + image
+    for image in around if len(sliced) else ():
+        centres = position[sliced][:, flat] + image
         _discs(
             ax,
             centres,
-            np.sqrt(radius[cut] ** 2 - depth[cut] ** 2),
+            np.sqrt(radius[sliced] ** 2 - depth[sliced] ** 2),
             facecolor="C1",
             edgecolor="0.2",
             alpha=0.95,

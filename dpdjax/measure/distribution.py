@@ -70,8 +70,8 @@ def partial_distribution(
     centres.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions``; a sheared one with its ``strain``
-            too.
+        trajectory: a run recorded with ``observe=dpd.observe.positions``; a sheared one with its
+            ``strain`` too.
         species_a, species_b: indices of the species, the same one for the pairs within it.
         bins: shells between 0 and ``r_max``.
         r_max: largest distance [length], by default and at most half the shortest side.

@@ -27,18 +27,18 @@ class Driven:
         velocity: along the force, where the whole has no momentum [length/time]; or the angular
             velocity about the torque.
         friction: ``kT / D``, force over velocity or torque over angular velocity.
-        turns: whether it is a torque.
+        is_torque: whether it is a torque.
     """
 
     diffusion: Estimate
     velocity: Estimate
     friction: Estimate
-    turns: bool = False
+    is_torque: bool = False
 
     def reynolds(self, *, density, viscosity, radius) -> float:
         """``density v radius / viscosity``, for an angular velocity with ``v = omega radius``: to
         stay below 0.1 or so."""
-        speed = abs(self.velocity.value) * (radius if self.turns else 1.0)
+        speed = abs(self.velocity.value) * (radius if self.is_torque else 1.0)
         return float(density * speed * radius / viscosity)
 
 
@@ -58,8 +58,8 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     times as long, or push twice as hard while the Reynolds number stays small.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions_of(species)``, or ``dpd.positions``;
-            one or replicas.
+        trajectory: a run recorded with ``observe=dpd.observe.positions_of(species)``, or
+            ``dpd.observe.positions``; one or replicas.
         skip: share of the frames left out at the start.
         blocks: pieces for the error bar, each longer than the velocity lives.
 
@@ -68,9 +68,9 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
 
     Raises ValueError for a run without such a force, or a batch with several.
     """
-    drive, force, along = _driven(trajectory, "push", "force")
+    drive, force, along = _driven(trajectory, "applied_force", "force")
     beads = chosen_beads(trajectory, drive.species)
-    record = f"dpd.positions_of({drive.species})"
+    record = f"dpd.observe.positions_of({drive.species})"
     position = of_beads(displaced(trajectory, record), trajectory, beads)
     first = int(skip * (position.shape[1] - 1))
     steps = np.diff(position[:, first:], axis=1) @ along / shared(trajectory.interval)
@@ -78,30 +78,30 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     velocity = block_average(steps.mean(axis=2), blocks)
     if drive.reaction == "others":
         force = force / (1.0 - driven_share(trajectory))
-    return _result(trajectory, velocity, force, steps.size, turns=False)
+    return _result(trajectory, velocity, force, steps.size, is_torque=False)
 
 
 def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
     """Rotational diffusion coefficient of spheres from their angular velocity under
     ``flow=dpd.drive(torque=...)``.
 
-    ``D_r = kT omega / T``. Record with ``observe=dpd.rotations``, or its mean over all steps.
-    Arguments, errors and the warning as in :func:`driven_diffusion`; ValueError also where no
-    friction turns the spheres, as with ``coupling="central"``.
+    ``D_r = kT omega / T``. Record with ``observe=dpd.observe.rotations``, or its mean over all
+    steps. Arguments, errors and the warning as in :func:`driven_diffusion`; ValueError also where
+    no friction turns the spheres, as with ``coupling="central"``.
     """
-    drive, torque, along = _driven(trajectory, "twist", "torque")
+    drive, torque, along = _driven(trajectory, "applied_torque", "torque")
     omega = (
-        recorded(trajectory, "angular_velocity", observe="dpd.rotations", averaged=True).astype(
-            float
-        )
+        recorded(
+            trajectory, "angular_velocity", observe="dpd.observe.rotations", averaged=True
+        ).astype(float)
         @ along
     )
     check_turned(trajectory.fluid, (drive.species,))
-    turning = species_of(trajectory)[trajectory.final.rotation.slots] == drive.species
-    omega = omega[:, int(skip * omega.shape[1]) :, turning]
+    rotating = species_of(trajectory)[trajectory.final.rotation.slots] == drive.species
+    omega = omega[:, int(skip * omega.shape[1]) :, rotating]
     needs.warn_of_drift({"angular velocity": omega.mean(axis=2)})
     return _result(
-        trajectory, block_average(omega.mean(axis=2), blocks), torque, omega.size, turns=True
+        trajectory, block_average(omega.mean(axis=2), blocks), torque, omega.size, is_torque=True
     )
 
 
@@ -125,7 +125,9 @@ def _driven(trajectory, name: str, what: str):
     return drive, size, vector / size
 
 
-def _result(trajectory, velocity: Estimate, strength: float, readings: int, turns: bool) -> Driven:
+def _result(
+    trajectory, velocity: Estimate, strength: float, readings: int, is_torque: bool
+) -> Driven:
     """``readings``: of the velocity, one for each sphere and frame."""
     kT = float(np.ravel(trajectory.fluid.kT)[0])
     diffusion = velocity.scaled(kT / strength)
@@ -135,7 +137,7 @@ def _result(trajectory, velocity: Estimate, strength: float, readings: int, turn
         if velocity.value
         else Estimate(math.inf, math.inf)
     )
-    return Driven(diffusion, velocity, friction, turns)
+    return Driven(diffusion, velocity, friction, is_torque)
 
 
 def _check_error(diffusion: Estimate, mobility_unit: float, time: float):

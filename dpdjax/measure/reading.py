@@ -16,7 +16,7 @@ of its square.
 """
 
 RECORD_STRAIN = (
-    "record it too, as dpd.positions does: observe=[..., lambda fluid, state: "
+    "record it too, as dpd.observe.positions does: observe=[..., lambda fluid, state: "
     "{'strain': state.box.strain}]"
 )
 
@@ -25,7 +25,7 @@ def recorded(
     trajectory,
     name: str,
     *,
-    observe: str = "dpd.positions",
+    observe: str = "dpd.observe.positions",
     components: int = 3,
     averaged: bool = False,
 ) -> np.ndarray:
@@ -71,7 +71,7 @@ def check_not_averaged(trajectory, name: str, observe: str):
         )
 
 
-def displaced(trajectory, observe: str = "dpd.positions") -> np.ndarray:
+def displaced(trajectory, observe: str = "dpd.observe.positions") -> np.ndarray:
     """Positions followed through the images, less what the flow has carried the beads along since
     the first frame.
 
@@ -137,7 +137,7 @@ def strains(trajectory) -> np.ndarray:
     record it."""
     frames = np.atleast_2d(trajectory.frames["time"]).shape
     if "strain" in trajectory.frames:
-        check_not_averaged(trajectory, "strain", "dpd.positions")
+        check_not_averaged(trajectory, "strain", "dpd.observe.positions")
         return np.atleast_2d(np.asarray(trajectory.frames["strain"], float))
     needs.unsheared(trajectory, "the tilt of the box in each frame", RECORD_STRAIN)
     return np.broadcast_to(
@@ -186,6 +186,6 @@ def of_beads(values, trajectory, beads) -> np.ndarray:
     if there not in (everything, len(beads)):
         raise ValueError(
             f"the run recorded {there} of its {everything} beads, not the {len(beads)} to be "
-            "measured; name their species, or use observe=dpd.positions"
+            "measured; name their species, or use observe=dpd.observe.positions"
         )
     return values[:, :, beads] if there == everything else values

@@ -41,9 +41,9 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli
         trajectory: a run, one or replicas, with ``pressure_tensor`` recorded at least 8 times a
             cycle.
         skip: cycles left out at the start.
-        averaged: whether frames are means over their interval, ``observe=dpd.mean(dpd.standard)``,
-            which are less noisy than snapshots; the sine is then averaged too. By default what the
-            run knows of itself.
+        averaged: whether frames are means over their interval,
+            ``observe=dpd.mean(dpd.observe.standard)``, which are less noisy than snapshots; the
+            sine is then averaged too. By default what the run knows of itself.
 
     Raises ValueError for another flow, a scan, no recorded stress, and less than two whole cycles
     after those left out.
@@ -72,18 +72,18 @@ def moduli(trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli
     # middle, less a factor.
     half = 0.5 * frequency * interval / trajectory.every
     phases = frequency * time - (steps - 1) * half
-    turns = np.floor((phases - phases[0]) / (2 * np.pi) + 1e-6).astype(int)
-    whole = [k for k in range(skip, turns[-1] + 1) if np.sum(turns == k) >= np.floor(per_cycle)]
+    cycle = np.floor((phases - phases[0]) / (2 * np.pi) + 1e-6).astype(int)
+    whole = [k for k in range(skip, cycle[-1] + 1) if np.sum(cycle == k) >= np.floor(per_cycle)]
     if len(whole) * len(stress) < 2:
         raise ValueError(
             f"{len(whole)} whole cycles after the first {skip} give no error bar; run at least "
             f"{skip + 2}"
         )
     damped = np.sin(steps * half) / (steps * np.sin(half))
-    fits = [_fit(phases[turns == k], member[turns == k]) for member in stress for k in whole]
+    fits = [_fit(phases[cycle == k], member[cycle == k]) for member in stress for k in whole]
     cycles = np.array(fits) / (amplitude * damped)
     _warn(
-        trajectory, time >= time[turns == whole[0]][0], cycles.reshape(len(stress), len(whole), 2)
+        trajectory, time >= time[cycle == whole[0]][0], cycles.reshape(len(stress), len(whole), 2)
     )
     return Moduli(from_replicas(cycles[:, 0]), from_replicas(cycles[:, 1]), frequency, cycles)
 
@@ -113,7 +113,7 @@ def _common_time(frames):
     """Times (frames,) that all replicas share."""
     if "pressure_tensor" not in frames:
         raise ValueError(
-            "the run recorded no 'pressure_tensor'; use observe=dpd.mean(dpd.standard)"
+            "the run recorded no 'pressure_tensor'; use observe=dpd.mean(dpd.observe.standard)"
         )
     times = np.atleast_2d(np.asarray(frames["time"], float))
     if np.ptp(times, axis=0).any():

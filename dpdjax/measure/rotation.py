@@ -1,7 +1,7 @@
 """Rotation of spheres: autocorrelation of angular velocity and orientation, rotational diffusion.
 
-Recorded with ``observe=dpd.rotations``. Error bars come from pieces in time and replicas, as in
-:mod:`dpdjax.measure.transport`.
+Recorded with ``observe=dpd.observe.rotations``. Error bars come from pieces in time and replicas,
+as in :mod:`dpdjax.measure.transport`.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from dpdjax.measure.statistics import Estimate
 from dpdjax.measure.transport import correlated, read_diffusion
 from dpdjax.model.beads import inertias
 
-RECORD = "dpd.rotations"
+RECORD = "dpd.observe.rotations"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +51,8 @@ def angular_velocity_autocorrelation(
     """``<omega(t) . omega(0)>`` of all spheres that rotate; ``3 kT / I`` at t = 0.
 
     Args:
-        trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
+        trajectory: a run without shear recorded with ``observe=dpd.observe.rotations``, batched or
+            not.
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
 
     Raises ValueError for a sheared or failed run, one without rotations, a ``t_max`` outside the
@@ -86,7 +87,8 @@ def rotational_diffusion(
     averaged over t (Green-Kubo), which needs frames much closer than the angular velocity lives.
 
     Args:
-        trajectory: a run without shear recorded with ``observe=dpd.rotations``, batched or not.
+        trajectory: a run without shear recorded with ``observe=dpd.observe.rotations``, batched or
+            not.
         method: ``"msd"`` or ``"vacf"``.
         fit: first and last lag [time], after the spin is forgotten; by default the later half of
             the lags that leave 12 independent pieces.
@@ -124,7 +126,7 @@ def check_turned(fluid, species):
     """ValueError where nothing but the start decides how fast the beads of one of these species
     rotate."""
     for k in species:
-        if not fluid.turns(k):
+        if not fluid.is_turned(k):
             raise ValueError(
                 f"no friction turns the beads of species {k}: all of theirs act along the line of "
                 "centres, and they spin as they "
@@ -149,7 +151,7 @@ def _unsheared(trajectory, name: str, components: int = 3):
     if needs.is_pushed(trajectory):
         warnings.warn(
             "a force or a torque drove this run, and how it turned spheres is not taken off; "
-            "measure in a run without it, or by dpd.driven_rotation",
+            "measure in a run without it, or by dpd.measure.driven_rotation",
             stacklevel=4,
         )
     return values
@@ -172,6 +174,6 @@ def angle_turned(orientation) -> np.ndarray:
             "between two frames a sphere turned by most of half a turn; record frames closer "
             "together"
         )
-    turns = 2.0 * v * (half / np.where(sine > 0, sine, 1.0))[..., None]
+    angles = 2.0 * v * (half / np.where(sine > 0, sine, 1.0))[..., None]
     start = np.zeros_like(q[..., :1, :, :3])
-    return np.concatenate([start, np.cumsum(turns, axis=-3)], axis=-3)
+    return np.concatenate([start, np.cumsum(angles, axis=-3)], axis=-3)

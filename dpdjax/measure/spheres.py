@@ -85,8 +85,8 @@ def spheres(trajectory, *, species: int | None = None) -> Spheres:
     bead's size.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions_of(species)`` or ``dpd.positions``,
-            sheared or not.
+        trajectory: a run recorded with ``observe=dpd.observe.positions_of(species)`` or
+            ``dpd.observe.positions``, sheared or not.
         species: index of the species, by default the one that has a radius.
 
     Raises:
@@ -116,7 +116,7 @@ def _of_radius(fluid, species: int | None) -> int:
     if species is None and len(round_ones) > 1:
         raise ValueError(
             f"species {', '.join(map(str, round_ones))} are spheres; name one: "
-            "dpd.spheres(trajectory, species=...)"
+            "dpd.measure.spheres(trajectory, species=...)"
         )
     if species is not None and species not in round_ones:
         told = ", ".join(map(str, round_ones))
@@ -162,7 +162,7 @@ def as_spheres(what) -> Spheres:
     if not isinstance(what, Spheres) and not hasattr(what, "frames"):
         raise TypeError(
             f"this measures a run or spheres, not a {type(what).__name__}; of one state, "
-            "dpd.spheres_of(fluid, state)"
+            "dpd.measure.spheres_of(fluid, state)"
         )
     return what if isinstance(what, Spheres) else spheres(what)
 
@@ -187,7 +187,7 @@ class Frame(NamedTuple):
     shift: float
 
 
-class Pairs(NamedTuple):
+class ClosePairs(NamedTuple):
     """Close pairs: beads ``first < second`` and their surface gap, (pairs,) each."""
 
     first: np.ndarray
@@ -231,9 +231,9 @@ def nearest(frame: Frame, d):
     sides = frame.lengths.reshape(3, *[1] * (d.ndim - 1))
     if frame.shift != 0:
         d[0] -= frame.shift * np.rint(d[1] / sides[1])
-    turns = np.rint(d / sides)
-    d -= sides * turns
-    return d, turns
+    images = np.rint(d / sides)
+    d -= sides * images
+    return d, images
 
 
 def with_images(frame: Frame, reach) -> tuple[np.ndarray, np.ndarray]:
@@ -246,7 +246,7 @@ def with_images(frame: Frame, reach) -> tuple[np.ndarray, np.ndarray]:
     return points[around], np.nonzero(around)[1]
 
 
-def close_pairs(frame: Frame, gap) -> Pairs:
+def close_pairs(frame: Frame, gap) -> ClosePairs:
     """Pairs with a surface gap below ``gap``; the largest spheres must then be within half the
     shortest side."""
     n, reach = len(frame.position), 2 * np.max(frame.radius) + gap
@@ -261,4 +261,4 @@ def close_pairs(frame: Frame, gap) -> Pairs:
         - frame.radius[first]
         - frame.radius[second]
     )
-    return Pairs(*(values[h < gap] for values in (first, second, h)))
+    return ClosePairs(*(values[h < gap] for values in (first, second, h)))

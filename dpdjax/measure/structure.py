@@ -51,8 +51,8 @@ def radial_distribution(
     Under shear it is the mean over all directions, each frame in its own tilted box.
 
     Args:
-        trajectory: a run recorded with ``observe=dpd.positions``, sheared or not; or positions (n,
-            3), (frames, n, 3) or (batch, frames, n, 3) [length], wrapped or not.
+        trajectory: a run recorded with ``observe=dpd.observe.positions``, sheared or not; or
+            positions (n, 3), (frames, n, 3) or (batch, frames, n, 3) [length], wrapped or not.
         box: a ``Box``, one side or three [length]; only with bare positions.
         bins: shells between 0 and ``r_max``.
         r_max: largest distance [length], by default and at most half the shortest side.

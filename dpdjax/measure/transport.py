@@ -76,10 +76,11 @@ class VelocityAutocorrelation:
 def mean_squared_displacement(
     trajectory, *, species: int | None = None, t_max: float | None = None, axes: str = "xyz"
 ) -> MeanSquaredDisplacement:
-    """The mean squared displacement of a run recorded with ``observe=dpd.positions``.
+    """The mean squared displacement of a run recorded with ``observe=dpd.observe.positions``.
 
     The drift of the centre of mass of all beads is taken off. Where only one species was recorded
-    (``dpd.positions_of``) nothing is: without body forces the momentum of the whole stays zero.
+    (``dpd.observe.positions_of``) nothing is: without body forces the momentum of the whole stays
+    zero.
 
     Under shear it is the displacement relative to the flow: what the flow has carried each bead
     along, the integral of ``rate y`` at the places it went through, is taken off. For that frames
@@ -106,7 +107,7 @@ def mean_squared_displacement(
 def velocity_autocorrelation(
     trajectory, *, species: int | None = None, t_max: float | None = None, axes: str = "xyz"
 ) -> VelocityAutocorrelation:
-    """The velocity autocorrelation of a run recorded with ``observe=dpd.positions``.
+    """The velocity autocorrelation of a run recorded with ``observe=dpd.observe.positions``.
 
     Under shear that of the velocities relative to the flow. Arguments, warnings and errors as in
     :func:`mean_squared_displacement`; returns a :class:`VelocityAutocorrelation`.
@@ -125,7 +126,7 @@ def diffusion(
     axes: str = "xyz",
 ) -> Estimate:
     """The self-diffusion coefficient ``D`` [length^2 / time] of a run recorded with
-    ``observe=dpd.positions``.
+    ``observe=dpd.observe.positions``.
 
     Two readings of one number over the lags of ``fit``: a sixth of the slope of the mean squared
     displacement (Einstein), or a third of the integral of the velocity autocorrelation up to t,

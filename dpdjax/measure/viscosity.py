@@ -5,7 +5,7 @@
 | ``shear_viscosity``      | under ``dpd.shear(rate)``     | the workhorse; at finite rate   |
 | ``green_kubo``           | ``green_kubo_record``         | equilibrium; frames close by    |
 | ``einstein_helfand``     | ``einstein_helfand_record``   | equilibrium; every step summed  |
-| ``sinusoidal_viscosity`` | ``sine_record(waves)``        | needs no stress; k -> 0 by hand |
+| ``sinusoidal_viscosity`` | ``wave_of(waves)``            | needs no stress; k -> 0 by hand |
 
 A batched trajectory is taken as replicas of one system: its members are pooled, and a scan over
 numbers is refused.
@@ -21,14 +21,14 @@ import numpy as np
 
 from dpdjax.engine.drivers import Wave
 from dpdjax.engine.observables import (
-    drag_pressure,
+    RANDOM,
+    SMOOTH,
+    STATIC,
     instantaneous_viscosity,
     momentum,
+    pressure_tensor,
     standard,
-    static_pressure,
-    stresses,
     temperature,
-    total_pressure,
 )
 from dpdjax.engine.record import Recorder, integral, mean
 from dpdjax.measure import needs
@@ -46,7 +46,7 @@ def shear_viscosity(
     """Viscosity ``-<P_xy> / rate`` of a sheared run [energy time / volume].
 
     The pressure holds the kinetic, conservative and drag parts. The random part has mean
-    zero; where it was recorded too (``observe=dpd.shear_record``), as much of it as lowers
+    zero; where it was recorded too (``observe=dpd.observe.shear_record``), as much of it as lowers
     the variance is subtracted, a control variate.
 
     Args:
@@ -87,14 +87,19 @@ def _block_means(series, blocks):
     return series[:, : each * length].reshape(-1, length).mean(1)
 
 
-def shear_record(fluid, state) -> dict:
-    """The standard record and the random stress; wrap it in ``dpd.mean`` for least noise."""
-    return standard(fluid, state) | {"pressure_random": stresses(fluid, state)["pressure_random"]}
+def _sheared(fluid, state) -> dict:
+    return standard(fluid, state) | {"pressure_random": pressure_tensor(fluid, state, (RANDOM,))}
+
+
+shear_record = mean(_sheared)
+"""What tells a viscosity under shear with least noise: means of the standard record and of the
+random stress."""
 
 
 def green_kubo_record(fluid, state) -> dict:
     """What :func:`green_kubo` needs of each frame."""
-    smooth, drag = static_pressure(fluid, state), drag_pressure(fluid, state)
+    smooth = pressure_tensor(fluid, state, STATIC)
+    drag = pressure_tensor(fluid, state, ("drag",))
     return {
         "flux": smooth + drag,
         "reversed_flux": smooth - drag,
@@ -112,7 +117,7 @@ def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
     orientations of the stress (Daivis & Evans 1994).
 
     Args:
-        trajectory: a run with ``observe=dpd.green_kubo_record`` and frames close together
+        trajectory: a run with ``observe=dpd.observe.green_kubo_record`` and frames close together
             (at most 0.05 time units), one or replicas.
         window: upper limit of the integral [time]; a few correlation times.
         skip: share of the frames left out at the start.
@@ -160,8 +165,12 @@ def _warn_unfaded(correlation, interval: float, later: Estimate, found: Estimate
         )
 
 
+def _flux_integral(fluid, state) -> dict:
+    return {"flux_integral": pressure_tensor(fluid, state, (*SMOOTH, RANDOM))}
+
+
 einstein_helfand_record = [
-    integral(lambda fluid, state: {"flux_integral": total_pressure(fluid, state)}),
+    integral(_flux_integral),
     Recorder(lambda fluid, state: {"temperature": temperature(fluid, state)}),
 ]
 """What :func:`einstein_helfand` needs: the whole stress, summed over every step."""
@@ -177,7 +186,7 @@ def einstein_helfand(
     does not depend on the size of the box.
 
     Args:
-        trajectory: a run with ``observe=dpd.einstein_helfand_record``, one or replicas.
+        trajectory: a run with ``observe=dpd.observe.einstein_helfand_record``, one or replicas.
         window, start: times between which the slope is taken [time], after the stress is forgotten;
             from half the window on unless told otherwise.
         skip, blocks: as in :func:`green_kubo`.
@@ -227,8 +236,9 @@ def _warn_bent(early, late, found: Estimate):
 
 
 @functools.cache
-def sine_record(waves: int = 1):
-    """Record the amplitude of the velocity wave ``U sin(2 pi waves y / L_y)``."""
+def wave_of(waves: int = 1):
+    """What :func:`sinusoidal_viscosity` needs: the mean amplitude of the velocity wave
+    ``U sin(2 pi waves y / L_y)``."""
 
     def observe(fluid, state):
         phase = 2 * jnp.pi * waves * state.position[:, 1] / state.box.lengths[1]
@@ -242,7 +252,7 @@ def sine_record(waves: int = 1):
 
 
 def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> Estimate:
-    """Viscosity at wavenumber k from the flow under ``dpd.sinusoidal_force``.
+    """Viscosity at wavenumber k from the flow under ``dpd.flows.sinusoidal_force``.
 
     ``density amplitude / (U k^2)``. Take the result at two wavelengths to k = 0 with
     ``extrapolate``: kinetic corrections are of order k^2 (9 % at L = 10).
@@ -256,7 +266,8 @@ def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> 
     wave = trajectory.flow.driver(Wave)
     if wave is None:
         raise ValueError(
-            "this run had no dpd.sinusoidal_force; run it with flow=dpd.sinusoidal_force(...)"
+            "this run had no dpd.flows.sinusoidal_force; run it with "
+            "flow=dpd.flows.sinusoidal_force(...)"
         )
     needs.unsheared(trajectory, "the wave without the shear", "drive the wave in a run without it")
     needs.warn_of_others(trajectory, (Wave,))
@@ -291,16 +302,18 @@ def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
 
 
 RECORD_OF = {
-    "pressure_tensor": "dpd.mean(dpd.shear_record)",
-    "flux": "dpd.green_kubo_record",
-    "flux_integral": "dpd.einstein_helfand_record",
-    "wave_velocity": "dpd.sine_record()",
+    "pressure_tensor": "dpd.observe.shear_record",
+    "flux": "dpd.observe.green_kubo_record",
+    "flux_integral": "dpd.observe.einstein_helfand_record",
+    "wave_velocity": "dpd.observe.wave_of()",
 }
 
 
 def _one_rate(trajectory) -> float:
     if trajectory.flow.deforms and not trajectory.flow.is_steady:
-        raise ValueError("the shear of this run oscillates; use dpd.moduli(trajectory).viscosity")
+        raise ValueError(
+            "the shear of this run oscillates; use dpd.measure.moduli(trajectory).viscosity"
+        )
     refuse_scan(trajectory)
     needs.warn_of_others(trajectory)
     rate = shared(trajectory.flow.rate)

@@ -71,11 +71,11 @@ def colloid_fluid(
         Delta, delta: roughness for contacts, and gap below which lubrication is constant [length];
             r_c/1000 by default.
         attraction: one or more potentials of the gap in place of Morse, e.g.
-            ``dpd.term(dpd.asakura_oosawa, ...)``; without it for a start, set its depth to zero,
-            e.g. ``fluid.set(phi_p=0.0)``.
-        solvent_repulsion: or ``dpd.scripts_repulsion``.
-        contact: or ``dpd.scaled_contact``.
-        lubrication: or ``dpd.unequal_lubrication``, exact for unequal radii.
+            ``dpd.term(dpd.laws.asakura_oosawa, ...)``; without it for a start, set its depth to
+            zero, e.g. ``fluid.set(phi_p=0.0)``.
+        solvent_repulsion: or ``dpd.laws.scripts_repulsion``.
+        contact: or ``dpd.laws.scaled_contact``.
+        lubrication: or ``dpd.laws.unequal_lubrication``, exact for unequal radii.
         noise: ``"exact"``, or ``"literal"`` for drag and noise of colloids as first published,
             which cools close pairs.
 
@@ -97,7 +97,7 @@ def colloid_fluid(
         raise ValueError(f'noise is {noise!r}; it is "exact" or "literal"')
     if noise == "literal" and lubrication is not colloid_laws.squeezing_lubrication:
         raise ValueError(
-            "literal noise belongs to dpd.squeezing_lubrication; leave lubrication= out"
+            "literal noise belongs to dpd.laws.squeezing_lubrication; leave lubrication= out"
         )
     up_to_r_c = {"reach": colloid_laws.solvent_cut, "r_c": r_c}
     if attraction is None:
@@ -175,7 +175,7 @@ def diffusion_time(fluid: Fluid):
 
 def solvent_viscosity(fluid: Fluid):
     """The viscosity of the solvent that lubrication is given, as its laws declare with
-    ``dpd.of_viscosity`` [energy time/volume].
+    ``dpd.laws.of_viscosity`` [energy time/volume].
 
     Raises TypeError where no law has it, ValueError where two disagree.
     """
@@ -186,7 +186,7 @@ def solvent_viscosity(fluid: Fluid):
         raise TypeError(
             "no friction of this fluid declares the viscosity of the solvent, as the 'eta_0' of "
             "lubrication; "
-            'mark your law with @dpd.of_viscosity("eta_0")'
+            'mark your law with @dpd.laws.of_viscosity("eta_0")'
         )
     if len(names) > 1:
         raise ValueError(
@@ -197,8 +197,8 @@ def solvent_viscosity(fluid: Fluid):
 
 
 def attraction_range(fluid: Fluid) -> float:
-    """The gap over which spheres attract, as their laws declare with ``dpd.attracts``, up to where
-    they are cut [length].
+    """The gap over which spheres attract, as their laws declare with ``dpd.laws.attracts``, up to
+    where they are cut [length].
 
     The widest where there are several. Raises ValueError without one, and for a scan or a table of
     different ranges.
@@ -216,8 +216,8 @@ def attraction_range(fluid: Fluid) -> float:
     ]
     if not found:
         raise ValueError(
-            "no law between the spheres of this fluid declares how far it attracts, as dpd.morse "
-            "does"
+            "no law between the spheres of this fluid declares how far it attracts, as "
+            "dpd.laws.morse does"
         )
     widest = np.unique(functools.reduce(np.maximum, found))
     if len(widest) > 1:

@@ -42,7 +42,7 @@ def friction(law: Callable):
 
 
 def bounded(**bounds: str):
-    """A decorator that says which numbers a law takes, ``@dpd.bounded(gamma="not negative",
+    """A decorator that says which numbers a law takes, ``@dpd.laws.bounded(gamma="not negative",
     r_c="positive")``.
 
     Others are refused where they are given. Raises ValueError for a bound that is none of these

@@ -102,7 +102,7 @@ class Fluid:
         """Species that rotate."""
         return tuple(k for k, inertia in enumerate(self.inertia) if inertia is not None)
 
-    def turns(self, species: int) -> bool:
+    def is_turned(self, species: int) -> bool:
         """Whether some friction turns the beads of a species; along the line of centres none
         does."""
         of_species = (i for i in self.interactions if any(species in group for group in i.groups))
@@ -209,9 +209,9 @@ class Fluid:
 
         ``energies``: what a new ``kT`` does to the potentials. ``"keep"`` leaves their coefficients
         as they are, so that a repulsion of 25 kT is one of 250 at a tenth of kT; ``"scale"`` keeps
-        them the same in kT, for laws that declare what they are ``dpd.proportional_to``. A plain
-        new ``kT`` alone keeps them with a warning; a scan, a traced number, or zero keeps them
-        without.
+        them the same in kT, for laws that declare what they are ``dpd.laws.proportional_to``. A
+        plain new ``kT`` alone keeps them with a warning; a scan, a traced number, or zero keeps
+        them without.
         """
         if energies not in (None, "keep", "scale"):
             raise ValueError(f'energies is {energies!r}; it is "keep" or "scale"')
@@ -227,8 +227,10 @@ class Fluid:
         if energies is None and "kT" in given:
             _warn_of_energies(self, kT, given)
         mass = _masses(numbers.pop("mass"), self.species) if "mass" in numbers else self.mass
-        turned = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
-        inertia = tuple(old if old is None or turned is None else turned for old in self.inertia)
+        of_rotating = positive(numbers.pop("inertia"), "inertia") if "inertia" in numbers else None
+        inertia = tuple(
+            old if old is None or of_rotating is None else of_rotating for old in self.inertia
+        )
         for name, value in numbers.items():
             check_table(name, coefficient(value, name, *_wholes(chosen, name)), self.species)
         groups = [i.groups for i in chosen]
@@ -419,7 +421,7 @@ def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
             raise ValueError(
                 f"{name_of(t.law)} does not say which coefficient it is proportional to: mark it "
                 "with "
-                '@dpd.proportional_to("..."), or give that coefficient beside kT'
+                '@dpd.laws.proportional_to("..."), or give that coefficient beside kT'
             )
         return (
             t
@@ -449,12 +451,12 @@ def _of_each(values, species, name) -> tuple:
 
 
 def _check_rotation(radius, inertia):
-    turning = [k for k, x in enumerate(inertia) if x is not None]
-    if turning and turning != list(range(turning[0], turning[-1] + 1)):
+    rotating = [k for k, x in enumerate(inertia) if x is not None]
+    if rotating and rotating != list(range(rotating[0], rotating[-1] + 1)):
         raise ValueError(
-            f"the species {turning} rotate; give inertia to species that follow one another"
+            f"the species {rotating} rotate; give inertia to species that follow one another"
         )
-    for k in turning:
+    for k in rotating:
         if radius[k] is None:
             raise ValueError(
                 f"species {k} has an inertia and no radius: a point does not rotate; give it a "

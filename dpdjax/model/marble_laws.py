@@ -48,7 +48,7 @@ def surface_drag(h, *, gamma_cs, r_c):
     Schmid 2015, eq. 12).
 
     The gap ``|h| = |r - R|`` is the distance from the bead to the surface. Acts on the whole
-    relative velocity unless told otherwise: ``dpd.term(dpd.surface_drag, projector="central",
+    relative velocity unless told otherwise: ``dpd.term(dpd.laws.surface_drag, projector="central",
     ...)`` is their eq. 8, ``"transverse"`` their eq. 10. ``gamma_cs`` [mass / time] tunes slip.
     """
     return gamma_cs * jnp.maximum(1.0 - jnp.abs(h) / r_c, 0.0) ** 2

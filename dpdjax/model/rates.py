@@ -218,10 +218,10 @@ def _masses(fluid, interaction, sizes=(1.0, 1.0)) -> tuple[float, float]:
 def _arms(fluid):
     """``R^2 / I`` of each species: what a friction across the line of centres does to its spin; 0
     where there is none."""
-    turns = lambda R, inertia: (
+    arm = lambda R, inertia: (
         0.0 if inertia is None else float(np.max(R)) ** 2 / float(np.min(inertia))
     )
-    return np.array([turns(R, inertia) for R, inertia in zip(fluid.radius, fluid.inertia)])
+    return np.array([arm(R, inertia) for R, inertia in zip(fluid.radius, fluid.inertia)])
 
 
 def _largest_friction(fluid, interaction, term, sizes) -> float:

@@ -182,14 +182,14 @@ def term(
             ``conservative=``) or a friction coefficient (under ``drag=``). It may ask for the radii
             ``R_i``, ``R_j`` of the two beads and for ``kT`` by name; those are not given here.
         reach: gap beyond which the law is cut to zero [length], a number or a function of
-            coefficients; by default what the law declares with ``dpd.reaches``, else its
+            coefficients; by default what the law declares with ``dpd.laws.reaches``, else its
             coefficient ``r_c``. A potential is shifted to be zero there.
         origin: name under which the stress of this term is kept, by default ``"conservative"`` or
             ``"drag"``.
         projector: the part of the relative velocity of the two *surfaces* that a friction acts on:
             ``"central"``, along the line of centres; ``"transverse"``, across it, which turns beads
             that can rotate; ``"full"``, all of it. By default what the law declares with
-            ``dpd.projected``, else ``"central"``.
+            ``dpd.laws.projected``, else ``"central"``.
         **coefficients: a scalar or a symmetric (species, species) table each; or
             ``dpd.whole(array)``, which the law gets as it is.
 
@@ -198,7 +198,7 @@ def term(
             something of, or lacks; a law that branches with ``if`` on what is traced, or that does
             not return real numbers of the shape of ``h``.
         ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an
-            unknown projector; a number outside what the law declares with ``dpd.bounded``.
+            unknown projector; a number outside what the law declares with ``dpd.laws.bounded``.
     """
     name = name_of(law)
     if origin in RESERVED:

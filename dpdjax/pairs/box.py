@@ -71,8 +71,8 @@ def displacement(box: Box, ra, rb):
 
 def wrap(box: Box, position):
     """Positions inside the box and how many sides each was carried over, (n, 3) int32."""
-    wrapped, turns = wrapped_columns(box, position.T)
-    return wrapped.T, turns.T
+    wrapped, crossed = wrapped_columns(box, position.T)
+    return wrapped.T, crossed.T
 
 
 def wrapped_columns(box: Box, position):
@@ -96,12 +96,12 @@ def in_lattice(box: Box, position):
     lx, ly, lz = box.lengths
     x, y, z = position[:, 0], position[:, 1], position[:, 2]
     s = jnp.stack([(x - box.strain * y) / lx, y / ly, z / lz], axis=1)
-    turns = jnp.floor(s)
-    columns, rows, layers = turns[:, 0], turns[:, 1], turns[:, 2]
+    crossed = jnp.floor(s)
+    columns, rows, layers = crossed[:, 0], crossed[:, 1], crossed[:, 2]
     image = jnp.stack(
         [x - rows * (box.strain * ly) - columns * lx, y - rows * ly, z - layers * lz], axis=1
     )
-    return s - turns, image
+    return s - crossed, image
 
 
 def matrix(box: Box):

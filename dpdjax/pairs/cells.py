@@ -1,6 +1,6 @@
 """All pairs within a distance, from sorted cells.
 
-Beads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
+SortedBeads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
 contiguous ranges: what follows in its own row, and one range of each of four rows further up.
 Each row is stored between periodic images of its own ends, so a range is a stretch of memory: a
 window of it is read at once and tested, and the verdicts are packed into 32-bit words. Each slot
@@ -27,7 +27,7 @@ HALF = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]], np.int32)
 FULL = np.array([[y, z] for z in (-1, 0, 1) for y in (-1, 0, 1)], np.int32)
 BYTE, WORD = 8, 32
 BLOCK = 16_384
-"""Beads whose pairs a CPU finds at a time (measured: tests/benchmarks)."""
+"""SortedBeads whose pairs a CPU finds at a time (measured: tests/benchmarks)."""
 MARGIN = 1.05
 """Room for the pairs of a block over its share of the list."""
 
@@ -41,7 +41,7 @@ def all_pairs(grid, box: boxes.Box, position, ids=None):
         slot = inverse(ids)
         i, j = slot[i], slot[j]
     d = boxes.displacement(box, position[i], position[j])
-    near = jnp.sum(d * d, axis=1) < grid.cut**2
+    near = jnp.sum(d * d, axis=1) < grid.list_radius**2
     words = _packed(jnp.pad(near, (0, -near.size % WORD)).reshape(-1, WORD))
     word, bit, filled, total = _set_bits(words, grid.capacity)
     pair = jnp.minimum(word * WORD + bit, i.size - 1)
@@ -60,7 +60,7 @@ def _every_pair(grid):
 
 
 def cell_pairs(grid, box: boxes.Box, position, ids=None):
-    """All pairs within ``grid.cut``: indices (2, capacity), and (pairs, windows) overflow."""
+    """All pairs of a list: indices (2, capacity), and (pairs, windows) overflow."""
     n = position.shape[0]
     part = lambda function, *inputs: apart(function, inputs, position[0, 0])
     seekers, rows, overflow = part(functools.partial(_laid_out, grid), box, position, ids)
@@ -92,7 +92,7 @@ def cell_pairs(grid, box: boxes.Box, position, ids=None):
 
 
 def block_size(n: int) -> int:
-    """Beads of a block: shares of about ``BLOCK``, or all of them."""
+    """SortedBeads of a block: shares of about ``BLOCK``, or all of them."""
     blocks = max(1, n // BLOCK) if on_cpu() else 1
     return n if blocks == 1 else min(n, rounded(n / blocks, 32))
 
@@ -143,25 +143,26 @@ def _sorted(cell, cells: int, ids=None):
 def _rank(cell, cells: int, ids):
     """How many beads of the same cell have a lower id (n,).
 
-    Each turn takes the lowest of every cell: as many turns as the fullest cell has beads, and still
+    Each round takes the lowest of every cell: as many rounds as the fullest cell has beads, and
+        still
     a third of the time of a sort.
     """
     nobody = np.iinfo(np.int32).max
 
-    def turn(carry):
-        turns, left, rank = carry
+    def visit(carry):
+        rounds, left, rank = carry
         lowest = jnp.full(cells, nobody, jnp.int32).at[cell].min(left)
-        # Beads that had their turn are left as nobody.
+        # SortedBeads that had their round are left as nobody.
         taken = (lowest[cell] == left) & (left < nobody)
-        return turns + 1, jnp.where(taken, nobody, left), jnp.where(taken, turns, rank)
+        return rounds + 1, jnp.where(taken, nobody, left), jnp.where(taken, rounds, rank)
 
     zero = jnp.zeros((), jnp.int32)
     return jax.lax.while_loop(
-        lambda carry: jnp.any(carry[1] < nobody), turn, (zero, ids, jnp.zeros_like(ids))
+        lambda carry: jnp.any(carry[1] < nobody), visit, (zero, ids, jnp.zeros_like(ids))
     )[2]
 
 
-class Beads(NamedTuple):
+class SortedBeads(NamedTuple):
     """The beads of a group sorted by cell, by id within one.
 
     Attributes:
@@ -175,7 +176,7 @@ class Beads(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Beads in slots, row after row of cells, each row between images of its own ends.
+    """SortedBeads in slots, row after row of cells, each row between images of its own ends.
 
     A range of cells is then a range of slots, at the ends of the rows too.
 
@@ -192,31 +193,31 @@ class Rows(NamedTuple):
     name: tuple
 
 
-def _sorted_group(grid, group, box, position, ids) -> Beads:
+def _sorted_group(grid, group, box, position, ids) -> SortedBeads:
     """The beads in the slots from ``group[0]`` to ``group[1]`` of the state."""
     begin, end = group
     ids = None if ids is None else ids[begin:end]
     cell, position = _cells(grid, box, position[begin:end])
     order = _sorted(cell, math.prod(grid.cells), ids)
     name = (begin + order,) if ids is None else (begin + order, ids[order])
-    return Beads(cell[order], tuple(position[order, k] for k in range(3)), name)
+    return SortedBeads(cell[order], tuple(position[order, k] for k in range(3)), name)
 
 
 def _laid_out(grid, box, position, ids):
     """Who seeks partners, the rows to seek them in, and whether these have more images than room
     for them."""
     beads = _sorted_group(grid, grid.many, box, position, ids)
-    first, home, bead, turn, overflow = _rows(grid, beads.cell)
+    first, home, bead, image, overflow = _rows(grid, beads.cell)
     x, y, z = (c[bead] for c in beads.position)
     rows = Rows(
-        first, home, (x + turn * box.lengths[0], y, z), tuple(name[bead] for name in beads.name)
+        first, home, (x + image * box.lengths[0], y, z), tuple(name[bead] for name in beads.name)
     )
     seekers = beads if grid.is_one_group else _sorted_group(grid, grid.few, box, position, ids)
     return seekers, rows, overflow
 
 
 def _rows(grid, cell):
-    """First slot of each cell, slot of each bead, bead in each slot, its turns along x (-1, 0, 1),
+    """First slot of each cell, slot of each bead, bead in each slot, its image along x (-1, 0, 1),
     overflow."""
     n, (nx, ny, nz), span = cell.shape[0], grid.cells, grid.span
     counts = jnp.zeros(nx * ny * nz, jnp.int32).at[cell].add(1, indices_are_sorted=True)
@@ -256,7 +257,7 @@ class Ranges(NamedTuple):
     origin: tuple
 
 
-def _ranges(grid, size, box, seekers: Beads, rows: Rows, begin) -> Ranges:
+def _ranges(grid, size, box, seekers: SortedBeads, rows: Rows, begin) -> Ranges:
     """The ranges of ``size`` seekers from ``begin`` on; the last block reaches back, with empty
     ranges.
 
@@ -269,8 +270,8 @@ def _ranges(grid, size, box, seekers: Beads, rows: Rows, begin) -> Ranges:
     here = lambda column: jax.lax.dynamic_slice_in_dim(column, at, size)[:, None]
     row, x = _divided(here(seekers.cell), nx)
     z, y = (c + stencil[None, :, k] for c, k in zip(_divided(row, ny), (1, 0)))
-    turn_y, turn_z = ((c >= m).astype(jnp.int32) - (c < 0) for c, m in ((y, ny), (z, nz)))
-    from_cell = ((z - turn_z * nz) * ny + y - turn_y * ny) * (nx + 2 * grid.span) + x
+    image_y, image_z = ((c >= m).astype(jnp.int32) - (c < 0) for c, m in ((y, ny), (z, nz)))
+    from_cell = ((z - image_z * nz) * ny + y - image_y * ny) * (nx + 2 * grid.span) + x
     start = rows.first[from_cell]
     if grid.is_one_group:
         start = jnp.where(np.arange(len(stencil))[None] == 0, here(rows.home) + 1, start)
@@ -279,12 +280,12 @@ def _ranges(grid, size, box, seekers: Beads, rows: Rows, begin) -> Ranges:
     lx, ly, lz = box.lengths
     rx, ry, rz = (here(c) for c in seekers.position)
     return Ranges(
-        at, start, length, (rx - turn_y * (box.strain * ly), ry - turn_y * ly, rz - turn_z * lz)
+        at, start, length, (rx - image_y * (box.strain * ly), ry - image_y * ly, rz - image_z * lz)
     )
 
 
 def _near(grid, ranges: Ranges, places):
-    """Which slots of each window are within the cut of its bead, packed into words."""
+    """Which slots of each window are within the list radius of its bead, packed into words."""
     width = _width(grid)
     begin = np.arange(0, grid.window, width, dtype=np.int32)[None, None]
     offset = begin[..., None] + np.arange(width, dtype=np.int32)[None, None, None]
@@ -295,7 +296,7 @@ def _near(grid, ranges: Ranges, places):
     first = (ranges.start[..., None] + begin)[..., None]
     part = lambda c: jax.lax.gather(c, first, numbers, (width,), mode="promise_in_bounds")
     dx, dy, dz = (part(c) - o[..., None, None] for c, o in zip(places, ranges.origin))
-    near = dx * dx + dy * dy + dz * dz < grid.cut**2
+    near = dx * dx + dy * dy + dz * dz < grid.list_radius**2
     return _packed(near & (offset < ranges.length[..., None, None])).ravel()
 
 
@@ -314,7 +315,7 @@ def _bead_and_slot(grid, ranges: Ranges, word, bit):
     ] + part * width + bit
 
 
-def _ends(grid, seekers: Beads, rows: Rows, bead, slot):
+def _ends(grid, seekers: SortedBeads, rows: Rows, bead, slot):
     """Both beads of each pair as slots in memory, and whether they are to change places."""
     a, b = seekers.name[0][bead], rows.name[0][slot]
     if not grid.is_one_group:

@@ -51,8 +51,10 @@ class Columns(NamedTuple):
         columns = lambda rows: tuple(rows[:, k] for k in range(3))
         x, v = jax.lax.optimization_barrier((columns(state.position), columns(velocity)))
         radius = radii(fluid, state) if fluid.has_radii else None
-        turning = state.rotation
-        spin, begin = (None, 0) if turning is None else (columns(turning.velocity), turning.begin)
+        rotation = state.rotation
+        spin, begin = (
+            (None, 0) if rotation is None else (columns(rotation.velocity), rotation.begin)
+        )
         return cls(x, v, state.species, state.id, radius, spin, begin)
 
 
@@ -146,8 +148,8 @@ def spin_of(beads: Columns, slots) -> tuple:
     """Angular velocity, by component, of the beads in ``slots`` (pairs,); 0 for those that do not
     rotate."""
     row, rows = slots - beads.rotating_from, beads.spin[0].shape[0]
-    turns = (row >= 0) & (row < rows)
-    return tuple(jnp.where(turns, take(c, jnp.clip(row, 0, rows - 1)), 0.0) for c in beads.spin)
+    rotates = (row >= 0) & (row < rows)
+    return tuple(jnp.where(rotates, take(c, jnp.clip(row, 0, rows - 1)), 0.0) for c in beads.spin)
 
 
 def cross(a: tuple, b: tuple) -> tuple:

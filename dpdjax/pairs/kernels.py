@@ -85,5 +85,7 @@ def _rubs(interaction, wanted: Wanted) -> bool:
 
 def _total(found, interaction, beads: Columns, wanted: Wanted) -> Forces:
     net, torque, totals = found
-    turned = beads.spin is not None and _rubs(interaction, wanted)
-    return Forces(sums.net_force(net), torque if turned else None, totals if wanted.tally else None)
+    has_torque = beads.spin is not None and _rubs(interaction, wanted)
+    return Forces(
+        sums.net_force(net), torque if has_torque else None, totals if wanted.tally else None
+    )

@@ -22,7 +22,7 @@ from dpdjax.pairs import cells, kernels
 from dpdjax.xla import where_needed
 
 FINENESS = 4
-"""Cells along x per cut: finer cells fit the ranges closer to what is within the cut."""
+"""Cells along x per list radius: finer cells fit the ranges closer to what is within it."""
 FEW = 64
 """Beads of the smaller group up to which all pairs are tried: sorting the larger one costs more
 (measured: tests/benchmarks)."""
@@ -70,7 +70,7 @@ class Grid:
         return self.groups[0] if self.few != self.groups[0] else self.groups[1]
 
     @property
-    def cut(self) -> float:
+    def list_radius(self) -> float:
         """Distance up to which pairs are listed [length]."""
         return self.reach + self.skin
 
@@ -115,21 +115,21 @@ def plan_grid(
         else tuple((int(a), int(b)) for a, b in groups)
     )
     lengths = np.asarray(lengths, float)
-    cut = reach + skin
-    if np.any(boxes.narrowest(lengths, sheared) < 2 * cut * (1 - 1e-6)):
+    list_radius = reach + skin
+    if np.any(boxes.narrowest(lengths, sheared) < 2 * list_radius * (1 - 1e-6)):
         raise ValueError(
-            f"box side {lengths.min():.4g} is below 2 (reach + skin) = "
-            f"{2 * cut:.4g}{', or 1.118 times that in a box that can tilt' if sheared else ''}; "
-            "use a side of at least "
-            f"{_rounded_up(2 * cut * (np.hypot(1, 0.5) if sheared else 1)):g} or a smaller skin"
+            f"box side {lengths.min():.4g} is below 2 (reach + skin) = {2 * list_radius:.4g}"
+            f"{', or 1.118 times that in a box that can tilt' if sheared else ''}; use a side of "
+            f"at least {_rounded_up(2 * list_radius * (np.hypot(1, 0.5) if sheared else 1)):g} or "
+            "a smaller skin"
         )
     all_pairs = Grid(reach, skin, None, 0, 0, 0, sheared, groups)
     few, many = _count(all_pairs.few), _count(all_pairs.many)
     capacity = _capacity(
-        all_pairs.is_one_group, few, many, (4 / 3) * math.pi * cut**3 / lengths.prod(), room
+        all_pairs.is_one_group, few, many, (4 / 3) * math.pi * list_radius**3 / lengths.prod(), room
     )
     all_pairs = dataclasses.replace(all_pairs, capacity=capacity)
-    shape = np.floor(boxes.narrowest(lengths, sheared) / cut * (1 + 1e-6)).astype(int)
+    shape = np.floor(boxes.narrowest(lengths, sheared) / list_radius * (1 + 1e-6)).astype(int)
     if np.any(shape < 3) or many < 200 or few <= FEW:
         return all_pairs
     # More rows than the beads fill cost more to index than they save.
@@ -138,7 +138,7 @@ def plan_grid(
         shape, np.maximum(3, np.ceil(most * lengths / np.cbrt(lengths.prod())))
     ).astype(int)
     shape[0] *= FINENESS
-    span = math.ceil(shape[0] * cut / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
+    span = math.ceil(shape[0] * list_radius / boxes.narrowest(lengths, sheared)[0] * (1 - 1e-6))
     per_range = (2 * span + 1) * many / shape.prod()
     window = _whole_words(int(per_range + 5 * math.sqrt(per_range)))
     return dataclasses.replace(
@@ -154,7 +154,7 @@ def _capacity(one_group: bool, few: int, many: int, share: float, room: float) -
     """``room`` times the pairs of beads without structure and six standard deviations more, but no
     more than there are.
 
-    ``share``: of all beads, those within the cut of one.
+    ``share``: of all beads, those within the radius of one.
     """
     there = few * (few - 1) // 2 if one_group else few * many
     pairs = share * (0.5 * few * many if one_group else there)
@@ -217,7 +217,7 @@ def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
         cell_list_capacity=grid.window,
         max_occupancy=grid.capacity,
         format=partition.OrderedSparse,
-        cell_size=grid.cut,
+        cell_size=grid.list_radius,
         cell_list_fn=None,
         update_fn=updater(grid),
     )
@@ -273,7 +273,7 @@ def is_stale(neighbours: Neighbours, box: boxes.Box, position):
     moved = (
         2.0 * farthest(grid.few) if grid.is_one_group else farthest(grid.few) + farthest(grid.many)
     )
-    return moved + jnp.abs(strain) * grid.cut > grid.skin
+    return moved + jnp.abs(strain) * grid.list_radius > grid.skin
 
 
 def update(neighbours: Neighbours, box: boxes.Box, position, ids=None) -> Neighbours:

@@ -59,14 +59,14 @@ def over_blocks(add, sums, idx, size: int, pad: int):
     """``sums = add(sums, part)`` over ``idx`` (2, pairs) in blocks of ``size``, the last one filled
     with ``pad``."""
 
-    def turn(sums, begin):
+    def block(sums, begin):
         # The last block reaches back into the one before it.
         start = jnp.minimum(begin, idx.shape[1] - size)
         fresh = start + jnp.arange(size, dtype=idx.dtype) >= begin
         part = jax.lax.dynamic_slice_in_dim(idx, start, size, 1)
         return add(sums, jnp.where(fresh[None], part, pad)), None
 
-    return jax.lax.scan(turn, sums, jnp.arange(0, idx.shape[1], size, dtype=idx.dtype))[0]
+    return jax.lax.scan(block, sums, jnp.arange(0, idx.shape[1], size, dtype=idx.dtype))[0]
 
 
 def net_zero(n: int, dtype, paired: bool = False):
@@ -113,13 +113,13 @@ def torque_add(torque, beads: Columns, pairs: Pairs, across):
     The arms ``-R_i e`` and ``R_j e`` are those of the surface velocities, and the second bead feels
     the opposite force: both get ``-R e x across``.
     """
-    twist = jnp.stack(cross(pairs.e, across), axis=1)
+    lever = jnp.stack(cross(pairs.e, across), axis=1)
     m = torque.shape[0]
     for slots, R in ((pairs.i, pairs.R_i), (pairs.j, pairs.R_j)):
         row = slots - beads.rotating_from
         row = jnp.where((row >= 0) & (row < m), row, m)
         torque = torque.at[row].add(
-            -jnp.reshape(R, (-1, 1)) * twist, mode="drop", wrap_negative_indices=False
+            -jnp.reshape(R, (-1, 1)) * lever, mode="drop", wrap_negative_indices=False
         )
     return torque
 

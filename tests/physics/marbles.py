@@ -137,7 +137,7 @@ def piece(case: Case, number: int) -> dict:
     key = jax.random.fold_in(jax.random.fold_in(KEY, 1 + CASES.index(case)), number)
     made = dpd.marbles(key, box=case.box, gamma_cs=case.gamma_cs, dt=DT, report=None)
     plan = lambda length: dpd.Plan(round(length / DT / EVERY), EVERY)
-    observe = [dpd.positions_of(1), dpd.rotations, dpd.mean(thermal)]
+    observe = [dpd.observe.positions_of(1), dpd.observe.rotations, dpd.mean(thermal)]
     go = lambda state, length: dpd.run(
         made.fluid, state, key, DT, plan(length), case.flow, observe=observe, progress=False
     )
@@ -168,7 +168,7 @@ def thermal(fluid, state):
         jnp.mean(state.rotation.velocity[:, 1:] ** 2),
     )
     return {
-        "T": dpd.temperature(fluid, state),
+        "T": dpd.observe.temperature(fluid, state),
         "v2": v2 * mass / fluid.kT / (1 - share),
         "w2": w2 * inertia / fluid.kT,
     }
@@ -179,10 +179,10 @@ def readings(case: Case, run) -> dict:
     it."""
     found = {name: float(np.mean(run.frames[name])) for name in ("T", "v2", "w2")}
     if case.force:
-        driven = dpd.driven_diffusion(run, skip=0.0)
+        driven = dpd.measure.driven_diffusion(run, skip=0.0)
         found |= {"D_drag": driven.diffusion.value, "velocity": driven.velocity.value}
     if case.torque:
-        driven = dpd.driven_rotation(run, skip=0.0)
+        driven = dpd.measure.driven_rotation(run, skip=0.0)
         found |= {"Dr_torque": driven.diffusion.value, "omega": driven.velocity.value}
     # Motion across the drive, along y and z, is that of equilibrium: two of the three directions
     # that D is the mean of.
@@ -385,7 +385,7 @@ def schmidt():
     for gamma_t in (0.0, 5.0, 20.0):
         frictions = [
             dpd.term(dpd.central_drag, gamma=5.0, r_c=1.0),
-            dpd.term(dpd.transverse_drag, gamma_t=gamma_t, r_c=1.0),
+            dpd.term(dpd.laws.transverse_drag, gamma_t=gamma_t, r_c=1.0),
         ]
         fluid, where = dpd.fluid(drag=frictions, kT=1.0), f"gamma_t {gamma_t:g}, dt 0.005"
         eta = dpd.measure_viscosity(
@@ -394,8 +394,8 @@ def schmidt():
         state = dpd.initial_state(fluid, KEY, box=10.0, density=DENSITY, dt=0.005)
         state = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(20, 100), progress=False).final
         observe = [
-            dpd.positions,
-            dpd.mean(lambda fluid, state: {"T": dpd.temperature(fluid, state)}),
+            dpd.observe.positions,
+            dpd.mean(lambda fluid, state: {"T": dpd.observe.temperature(fluid, state)}),
         ]
         run = dpd.run(fluid, state, KEY, 0.005, dpd.Plan(600, 50), observe=observe, progress=False)
         box = dpd.diffusion(run, fit=(5.0, 10.0))
@@ -466,7 +466,7 @@ def marble():
     ]
     if len(several) > 1:
         estimates = [drag(found[case]) for case in several]
-        radius = dpd.hydrodynamic_radius(
+        radius = dpd.theory.hydrodynamic_radius(
             [case.box for case in several], estimates, kT=1.0, viscosity=eta
         )
         rows.append(
@@ -490,7 +490,7 @@ def _of_case(case, lines, eta):
     )
     if case.force:
         Re = DENSITY * abs(reading(lines, "velocity").value) * RADIUS / eta
-        radius = dpd.hydrodynamic_radius([case.box], [drag(lines)], kT=1.0, viscosity=eta)
+        radius = dpd.theory.hydrodynamic_radius([case.box], [drag(lines)], kT=1.0, viscosity=eta)
         rows.append(
             row(
                 "hydrodynamic radius",
@@ -506,8 +506,8 @@ def _of_readings(case, where, lines, eta, names):
     at = dict(kT=1.0, viscosity=eta, radius=RADIUS, box=case.box)
     beside = {name: (1.0, "exact, up to O(dt)") for name in names}
     for kind, theory in (
-        ("D_", dpd.sphere_diffusion(**at)),
-        ("Dr_", dpd.sphere_rotational_diffusion(**at)),
+        ("D_", dpd.theory.sphere_diffusion(**at)),
+        ("Dr_", dpd.theory.sphere_rotational_diffusion(**at)),
     ):
         beside |= {name: (theory, "no slip, radius 3") for name in names if name.startswith(kind)}
     estimates = {

@@ -63,7 +63,7 @@ def sheared(matter, dt, rate, particle_time, side=10.0, count=4, seed=0):
         particle_time / beads,
         20,
         dpd.shear(rate),
-        dpd.mean(dpd.shear_record),
+        dpd.observe.shear_record,
     )
     return dpd.shear_viscosity(run, skip=0.0, blocks=32), run
 
@@ -83,13 +83,13 @@ def pressure():
     """Pressure, energy and structure of water at a small step."""
     dt = 0.0025
     state, keys = boxes(WATER, 10.0, 2, dt, seed=1)
-    run = go(WATER, state, keys, dt, 40.0, 40, observe=[dpd.stresses, dpd.standard])
+    run = go(WATER, state, keys, dt, 40.0, 40, observe=[dpd.observe.stresses, dpd.observe.standard])
     static = run.frames["pressure_kinetic"] + run.frames["pressure_conservative"]
     p = block_average(np.trace(static, axis1=-2, axis2=-1) / 3)
     energy = block_average(run.frames["potential_energy"] / 1000.0)
-    config = lambda f, s: {"config": dpd.configurational_temperature(f, s)}
-    shots = go(WATER, run.final, keys, dt, 10.0, 80, observe=[dpd.positions, config])
-    g = dpd.radial_distribution(shots, bins=125, r_max=2.5)
+    config = lambda f, s: {"config": dpd.observe.configurational_temperature(f, s)}
+    shots = go(WATER, run.final, keys, dt, 10.0, 80, observe=[dpd.observe.positions, config])
+    g = dpd.measure.radial_distribution(shots, bins=125, r_max=2.5)
     where = "rho 3, a 25, kT 1, gamma 4.5, dt 0.0025"
     at = lambda r: Estimate(float(np.interp(r, g.r, g.g)), float(np.interp(r, g.r, g.error)))
     top = int(np.argmax(g.g))
@@ -222,10 +222,10 @@ def ideal_equilibrium():
     """(a 0, gamma 5): Einstein-Helfand and Green-Kubo in many small boxes."""
     dt, side, count = 0.01, 5.0, 24
     state, keys = boxes(IDEAL, side, count, dt, seed=7)
-    observe = [*dpd.einstein_helfand_record, dpd.green_kubo_record]
+    observe = [*dpd.observe.einstein_helfand_record, dpd.observe.green_kubo_record]
     run = go(IDEAL, state, keys, dt, 400.0, 5, observe=observe)
-    helfand = dpd.einstein_helfand(run, window=3.0, start=1.0, blocks=96)
-    kubo = dpd.green_kubo(run, window=2.5, blocks=96)
+    helfand = dpd.measure.einstein_helfand(run, window=3.0, start=1.0, blocks=96)
+    kubo = dpd.measure.green_kubo(run, window=2.5, blocks=96)
     where = "a 0, gamma 5, kT 1, dt 0.01, 24 boxes of side 5"
     return [
         row("viscosity, Einstein-Helfand", where, helfand, "", "", "slope between t = 1 and 3"),
@@ -243,15 +243,15 @@ def ideal_sine():
         k = 2 * math.pi / wavelength
         amplitude = 1.25 * k * 0.2 / 3.0
         state, keys = boxes(IDEAL, jnp.array([other, wavelength, other]), count, dt, seed)
-        flow = dpd.sinusoidal_force(amplitude, wavelength)
+        flow = dpd.flows.sinusoidal_force(amplitude, wavelength)
         relax = 4 * 3.0 / (1.25 * k**2)
         state = go(IDEAL, state, keys, dt, relax, 100, flow).final
-        run = go(IDEAL, state, keys, dt, total, 50, flow, dpd.sine_record(1))
-        found.append(dpd.sinusoidal_viscosity(run, skip=0.0, blocks=2 * count))
+        run = go(IDEAL, state, keys, dt, total, 50, flow, dpd.observe.wave_of(1))
+        found.append(dpd.measure.sinusoidal_viscosity(run, skip=0.0, blocks=2 * count))
         squares.append(k**2)
         where = f"a 0, gamma 5, kT 1, dt 0.01, wavelength {wavelength:g}, k U 0.2"
         rows.append(row("viscosity, sinusoidal force", where, found[-1]))
-    limit = dpd.extrapolate(squares, found)
+    limit = dpd.measure.extrapolate(squares, found)
     return [*rows, row("viscosity, sinusoidal force", "a 0, gamma 5, kT 1, dt 0.01, k -> 0", limit)]
 
 
@@ -276,10 +276,10 @@ def tangents(matter, name, dt, rate, duration, windows, side=10.0, count=4, seed
     goal = viscosity_goal(1.0, rate)
     state, keys = boxes(matter, side, count, dt, seed)
     state = go(matter, state, keys, dt, 5.0, 50, goal.flow).final
-    bench = experiment.Bench(matter, goal, 3.0, state, keys, dt)
+    ensemble = experiment.Ensemble(matter, goal, 3.0, state, keys, dt)
     plan = dpd.Plan(frames, max(1, round(duration / dt / frames)))
     found = [
-        experiment.window_tangents(bench, matter, (name,), 0, dt, plan) for _ in range(windows)
+        experiment.window_tangents(ensemble, matter, (name,), 0, dt, plan) for _ in range(windows)
     ]
     slopes = goal.scale * np.concatenate(found) / float(matter.value(name))
     each = [from_replicas(c) for c in slopes.T]
@@ -354,8 +354,8 @@ def identities():
     beads = state.position.shape[1]
 
     def static_pressure(f, s):
-        parts = dpd.pressure_by_origin(f, s)
-        return {"value": jnp.trace(parts["kinetic"] + parts["conservative"]) / 3}
+        tensor = dpd.observe.pressure_tensor(f, s, parts=("kinetic", "conservative"))
+        return {"value": jnp.trace(tensor) / 3}
 
     def kinetic(f, s):
         return {"value": jnp.mean(jnp.sum(s.velocity**2, axis=1))}

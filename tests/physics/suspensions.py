@@ -73,11 +73,11 @@ def pair_temperature():
             random = None
             drag = [
                 dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0),
-                dpd.term(dpd.squeezing_lubrication, reach=1.0, **numbers),
+                dpd.term(dpd.laws.squeezing_lubrication, reach=1.0, **numbers),
             ]
             if noise == "literal":
-                drag = [dpd.term(dpd.literal_drag, gamma=gamma, r_c=1.0, **numbers)]
-                random = [dpd.term(dpd.literal_noise, gamma=gamma, r_c=1.0, **numbers)]
+                drag = [dpd.term(dpd.laws.literal_drag, gamma=gamma, r_c=1.0, **numbers)]
+                random = [dpd.term(dpd.laws.literal_noise, gamma=gamma, r_c=1.0, **numbers)]
             hold = dpd.term(spring, k=k, h0=h0, reach=1.2)
             fluid = dpd.fluid(
                 interactions=[dpd.interaction((0, 0), hold, drag, random)],
@@ -192,7 +192,13 @@ def diffusion():
     state = stacked([m.state for m in made])
     state = go(fluid, state, keys, dt, 30.0, 100).final
     run = go(
-        fluid, state, keys, dt, 240.0, 250, observe=[dpd.positions_of(1), dpd.mean(by_species)]
+        fluid,
+        state,
+        keys,
+        dt,
+        240.0,
+        250,
+        observe=[dpd.observe.positions_of(1), dpd.mean(by_species)],
     )
     D = dpd.diffusion(run, species=1, fit=(10.0, 30.0))
     rho, eta = _solvent(run.final, fluid, keys)
@@ -245,7 +251,7 @@ def _solvent(state, fluid, keys, gamma=4.5, tolerance=0.02):
     """Density of the solvent between the colloids of a batch, and the viscosity of the pure solvent
     there."""
     densities = [
-        dpd.solvent_density(fluid, jax.tree.map(lambda leaf: leaf[k], state))
+        dpd.measure.solvent_density(fluid, jax.tree.map(lambda leaf: leaf[k], state))
         for k in range(len(keys))
     ]
     rho = from_replicas(densities)
@@ -292,10 +298,12 @@ def viscosity():
                 1.6,
                 20,
                 flow,
-                observe=[dpd.mean(dpd.shear_record), dpd.mean(dpd.stresses)],
+                observe=[dpd.observe.shear_record, dpd.mean(dpd.observe.stresses)],
             )
             runs, state = [*runs, run], run.final
-            densities.append(dpd.solvent_density(made.fluid, state, probe=0.3, points=100_000))
+            densities.append(
+                dpd.measure.solvent_density(made.fluid, state, probe=0.3, points=100_000)
+            )
         frames = {name: np.concatenate([r.frames[name] for r in runs]) for name in run.frames}
         eta = dpd.shear_viscosity(dataclasses.replace(run, frames=frames), skip=0.0, blocks=24)
         rho = from_replicas(densities)
@@ -367,8 +375,8 @@ def mediated():
     """
     rows, dt, side = [], 0.02, 7.0
     for repulsion, name, a_cs in (
-        (dpd.balanced_repulsion, "surface", 9.62),
-        (dpd.scripts_repulsion, "centre", 1.98),
+        (dpd.laws.balanced_repulsion, "surface", 9.62),
+        (dpd.laws.scripts_repulsion, "centre", 1.98),
     ):
         # Too heavy to move, so they need no contact, and the step can be long.
         fluid = dpd.colloid_fluid(solvent_repulsion=repulsion, eta_0=0.0).set(
@@ -445,7 +453,7 @@ def well():
     """g(h) of a dilute pair with Morse attraction of 2 kT, colloid-solvent repulsion off and drag
     on"""
     dt, until, count = 5e-3, 0.3, 6
-    morse = dpd.term(dpd.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0)
+    morse = dpd.term(dpd.laws.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0)
     wall = dpd.term(hold_near, stiffness=40.0, until=until, reach=1.0)
     fluid = dpd.colloid_fluid(attraction=[morse, wall], eta_0=0.05, **SOFT).set(strength=0.0)
     gaps = _gaps_of_pairs(fluid, count, 6.4, round(6.4**3), 0.15, dt, 15000.0)

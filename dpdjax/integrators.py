@@ -1,0 +1,18 @@
+"""How beads move on in time, and the parts that an integrator of your own is made of."""
+
+from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
+from dpdjax.engine.integrator import Drift, Integrator, VelocityVerlet, drifted, settled
+from dpdjax.model.beads import inertias, masses
+
+__all__ = [
+    "Drift",
+    "drifted",
+    "EVERYTHING",
+    "forces_on",
+    "inertias",
+    "Integrator",
+    "masses",
+    "settled",
+    "update_lists",
+    "VelocityVerlet",
+]

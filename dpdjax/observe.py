@@ -1,0 +1,47 @@
+"""What a run can record: functions ``observe(fluid, state)``, and ways to add them up."""
+
+from dpdjax.engine.observables import (
+    configurational_temperature,
+    instantaneous_viscosity,
+    momentum,
+    positions,
+    positions_of,
+    pressure_tensor,
+    rotational_temperature,
+    rotations,
+    standard,
+    stresses,
+    temperature,
+)
+from dpdjax.engine.record import Recorder, integral, mean
+from dpdjax.host.gsd import gsd_record
+from dpdjax.measure.viscosity import (
+    einstein_helfand_record,
+    green_kubo_record,
+    shear_record,
+    wave_of,
+)
+from dpdjax.pairs.box import displacement
+
+__all__ = [
+    "configurational_temperature",
+    "displacement",
+    "einstein_helfand_record",
+    "green_kubo_record",
+    "gsd_record",
+    "instantaneous_viscosity",
+    "integral",
+    "mean",
+    "momentum",
+    "positions",
+    "positions_of",
+    "pressure_tensor",
+    "Recorder",
+    "rotational_temperature",
+    "rotations",
+    "shear_record",
+    "standard",
+    "stresses",
+    "temperature",
+    "wave_of",
+]
