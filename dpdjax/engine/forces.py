@@ -29,7 +29,7 @@ def update_lists(state: State) -> State:
 
 
 def forces_on(
-    system, state: State, velocity, key, tally: bool, kinds: tuple[str, ...] = EVERYTHING
+    system, state: State, velocity, key, tally, kinds: tuple[str, ...] = EVERYTHING
 ) -> Forces:
     """All forces at the state's positions, with drag from ``velocity`` (n, 3) and from the angular
     velocities of the state.
@@ -37,17 +37,24 @@ def forces_on(
     Args:
         system, state, key: what moves, where, and what keys the noise of ``state.step``.
         velocity: peculiar velocities (n, 3).
-        tally: keep the sums over pairs (static); without them those of the state stay.
+        tally: whether to keep the sums over pairs, known or not; without them those of the state
+            stay.
         kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
             but drag do not depend on the velocity.
     """
     rate = system.flow.rate_at(state.time)
-    with jax.named_scope("forces"):
+
+    def between_pairs(tally: bool) -> Forces:
         total = pair_force(system.fluid, state, velocity, rate, key, system.dt, tally, kinds)
+        return total if tally else total._replace(tally=state.tally)
+
+    with jax.named_scope("forces"):
+        if isinstance(tally, bool):
+            total = between_pairs(tally)
+        else:
+            total = jax.lax.cond(tally, lambda: between_pairs(True), lambda: between_pairs(False))
         # Whatever else acts, as bonds would, is another part, and adds up here.
-        if DRIVEN in kinds:
-            total = total.plus(_driven(system, state))
-    return total if tally else total._replace(tally=state.tally)
+        return total.plus(_driven(system, state)) if DRIVEN in kinds else total
 
 
 def _driven(system, state: State) -> Forces:
