@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -23,7 +24,9 @@ from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
 from dpdjax.calibration.picture import draw_calibration
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.engine.compiling import Clock
+from dpdjax.engine.flow import Driving
 from dpdjax.measure.statistics import Estimate
+from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import drag_viscosity, thermal_time
 from dpdjax.model.summary import as_table
 from dpdjax.pairs.noise import Domain
@@ -111,15 +114,15 @@ class Calibration:
 
 
 def calibrate(
-    fluid,
-    parameter="gamma",
+    fluid: Fluid,
+    parameter: str | Sequence[str] = "gamma",
     *,
-    key,
-    viscosity=None,
-    pressure=None,
-    target=None,
-    observe=None,
-    flow=None,
+    key: jax.Array,
+    viscosity: float | None = None,
+    pressure: float | None = None,
+    target: float | None = None,
+    observe: Callable | None = None,
+    flow: Driving = None,
     density: float | None = None,
     tolerance: float = 0.02,
     branch: str = "upper",
@@ -129,8 +132,8 @@ def calibrate(
     box: float | None = None,
     boxes: int = 2,
     max_particle_steps: float = 2e9,
-    optimiser=None,
-    report=None,
+    optimiser: Any = None,
+    report: Callable[[str], None] | None = None,
 ) -> Calibration | JointCalibration:
     """The value of ``parameter`` at which the fluid has the wanted viscosity (or other number).
 
@@ -248,17 +251,17 @@ def calibrate(
 
 
 def measure_viscosity(
-    fluid,
+    fluid: Fluid,
     *,
-    key,
+    key: jax.Array,
     density: float | None = None,
     tolerance: float = 0.02,
-    dt=None,
-    rate=None,
-    box=None,
+    dt: float | None = None,
+    rate: float | None = None,
+    box: float | None = None,
     boxes: int = 2,
     max_particle_steps: float = 2e9,
-    report=None,
+    report: Callable[[str], None] | None = None,
 ) -> experiment.Measurement:
     """The viscosity of a fluid in homogeneous shear, to a standard error of a third of the
     tolerance.

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from dpdjax.calibration.calibrate import measure_viscosity
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.solvent import solvent_density
 from dpdjax.measure.statistics import Estimate
 from dpdjax.measure.viscosity import shear_viscosity
@@ -11,10 +12,10 @@ from dpdjax.model.colloids import pure_solvent
 
 
 def relative_viscosity(
-    trajectory,
+    trajectory: Trajectory,
     *,
     solvent: Estimate | None = None,
-    key=None,
+    key: jax.Array = None,
     tolerance: float = 0.02,
     skip: float = 0.1,
     blocks: int = 20,

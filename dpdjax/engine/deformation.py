@@ -5,9 +5,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.checks import number, positive
 from dpdjax.engine.answers import Part, check_answers
+from dpdjax.engine.state import State
+from dpdjax.model.fluid import Fluid
 
 
 class Deformation(Part):
@@ -35,7 +38,7 @@ class Deformation(Part):
         rate of 0."""
         return not (self.is_steady and isinstance(self.rate, (int, float)) and self.rate == 0)
 
-    def check(self, fluid, state):
+    def check(self, fluid: Fluid, state: State) -> None:
         """Raise TypeError or ValueError, before a run of one state, for one that cannot work there.
 
         A deformation with demands of its own adds them, and calls this one by ``super()``.
@@ -52,11 +55,11 @@ class Deformation(Part):
         if self.deforms:
             check_tilt(state)
 
-    def rate_at(self, time):
+    def rate_at(self, time: ArrayLike) -> jax.Array:
         """Shear rate at a time [1/time]."""
         return self.rate
 
-    def strain_in(self, time, dt):
+    def strain_in(self, time: ArrayLike, dt: ArrayLike) -> jax.Array:
         """Shear strain of the step that begins at ``time``."""
         return self.rate * dt
 
@@ -103,7 +106,7 @@ class Oscillation(Deformation):
         return 2.0 * self.amplitude * jnp.sin(half) * jnp.cos(self.frequency * time + half)
 
 
-def shear(rate) -> Shear:
+def shear(rate: ArrayLike) -> Shear:
     """Steady shear ``u_x = rate y`` [1/time] under Lees-Edwards boundaries.
 
     Velocities in the state are peculiar: relative to the streaming velocity.
@@ -111,7 +114,7 @@ def shear(rate) -> Shear:
     return Shear(number(rate, "rate"))
 
 
-def oscillatory_shear(amplitude, frequency) -> Oscillation:
+def oscillatory_shear(amplitude: ArrayLike, frequency: ArrayLike) -> Oscillation:
     """Shear of strain ``amplitude sin(frequency t)``, t the time of the state, under Lees-Edwards
     boundaries.
 

@@ -7,16 +7,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, number, positive
 from dpdjax.engine.answers import Part, check_answers
 from dpdjax.engine.batching import chosen
+from dpdjax.engine.state import State
+from dpdjax.model.fluid import Fluid
 
 
 class Driver(Part):
     """What every driver answers; by default it drives nothing."""
 
-    def check(self, fluid, state):
+    def check(self, fluid: Fluid, state: State) -> None:
         """Raise TypeError or ValueError, before a run of one state, for one that cannot work there.
 
         A driver with demands of its own adds them, and calls this one by ``super()``.
@@ -29,11 +32,11 @@ class Driver(Part):
         }
         check_answers(self, state, answers)
 
-    def force(self, state, mass):
+    def force(self, state: State, mass: jax.Array) -> jax.Array | None:
         """Force on each bead (n, 3), or None; ``mass`` is (n, 1)."""
         return None
 
-    def torque(self, state):
+    def torque(self, state: State) -> jax.Array | None:
         """Torque on each bead that rotates (m, 3), or None."""
         return None
 
@@ -135,7 +138,9 @@ def body_force(
     return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance, jumps=jumps)
 
 
-def drive(force=0.0, torque=0.0, *, species: int = 1, reaction: str = "all") -> Drive:
+def drive(
+    force: ArrayLike = 0.0, torque: ArrayLike = 0.0, *, species: int = 1, reaction: str = "all"
+) -> Drive:
     """The same force and torque on each bead of one species, as large spheres are driven to measure
     their drag.
 
@@ -185,7 +190,7 @@ def sine_field(position, time, *, amplitude, wavenumber):
     return jnp.stack([fx, jnp.zeros_like(fx), jnp.zeros_like(fx)], axis=1)
 
 
-def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
+def sinusoidal_force(amplitude: ArrayLike, side: ArrayLike, waves: int = 1) -> BodyForce:
     """``amplitude sin(k y)`` along x on each bead, with ``waves`` periods in ``side``.
 
     Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``. For a batch, give a
@@ -195,7 +200,7 @@ def sinusoidal_force(amplitude, side, waves: int = 1) -> BodyForce:
     return Wave(sine_field, {"amplitude": number(amplitude, "amplitude"), "wavenumber": wavenumber})
 
 
-def constant_field(position, time, *, acceleration):
+def constant_field(position: jax.Array, time: ArrayLike, *, acceleration: ArrayLike) -> jax.Array:
     """The same force on every bead."""
     return jnp.broadcast_to(acceleration, position.shape)
 

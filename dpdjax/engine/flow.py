@@ -1,6 +1,7 @@
 """What drives a fluid from outside: at most one deformation of the box, any number of drivers."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 
@@ -98,3 +99,7 @@ def _sum(parts):
     """The sum of those that are not None, or None."""
     there = [part for part in parts if part is not None]
     return sum(there[1:], there[0]) if there else None
+
+
+Driving = Flow | Deformation | Driver | Sequence[Deformation | Driver] | None
+"""What ``flow=`` takes."""

@@ -29,7 +29,12 @@ def update_lists(state: State) -> State:
 
 
 def forces_on(
-    system, state: State, velocity, key, tally, kinds: tuple[str, ...] = EVERYTHING
+    system,
+    state: State,
+    velocity: jax.Array,
+    key: jax.Array,
+    tally: bool | jax.Array,
+    kinds: tuple[str, ...] = EVERYTHING,
 ) -> Forces:
     """All forces at the state's positions, with drag from ``velocity`` (n, 3) and from the angular
     velocities of the state.

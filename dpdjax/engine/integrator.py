@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
@@ -14,6 +15,7 @@ from dpdjax.engine.rotation import rotation_step
 from dpdjax.engine.state import State
 from dpdjax.model import advice
 from dpdjax.model.beads import inertias, masses
+from dpdjax.model.fluid import Fluid
 from dpdjax.pairs import box as boxes
 from dpdjax.pairs.sums import Forces
 from dpdjax.xla import any_in_batch
@@ -26,12 +28,12 @@ class Integrator(Part):
     :func:`settled` are the parts.
     """
 
-    def step(self, system, state: State, key, tally) -> State:
+    def step(self, system, state: State, key: jax.Array, tally: bool | jax.Array) -> State:
         """The state a step of ``system.dt`` later, its force known; ``tally``, for
         :func:`forces_on`: whether with the sums over pairs."""
         raise NotImplementedError(f"{type(self).__name__} has no step(system, state, key, tally)")
 
-    def start(self, system, state: State, key) -> State:
+    def start(self, system, state: State, key: jax.Array) -> State:
         """The state with its force known, computed now if it was not."""
 
         def compute(state):
@@ -46,7 +48,9 @@ class Integrator(Part):
         # branch.
         return jax.lax.cond(any_in_batch(~state.started), compute, lambda state: state, state)
 
-    def dt_limits(self, fluid, density, sizes) -> list[tuple[str, float]]:
+    def dt_limits(
+        self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]
+    ) -> list[tuple[str, float]]:
         """What limits the time step, and the largest it allows; see :func:`advice.dt_limits`."""
         return advice.dt_limits(fluid, density, sizes)
 
@@ -73,7 +77,7 @@ class VelocityVerlet(Integrator):
 
     lam: Any = 0.5
 
-    def step(self, system, state: State, key, tally) -> State:
+    def step(self, system, state: State, key: jax.Array, tally: bool | jax.Array) -> State:
         moved, drift = drifted(system, state, self.lam)
         forces = forces_on(system, moved, drift.predicted(self.lam), key, tally)
         return settled(system, state, moved, drift, forces)
@@ -92,12 +96,12 @@ class Drift(NamedTuple):
     kick: Any
     spin_kick: Any
 
-    def predicted(self, lam):
+    def predicted(self, lam: ArrayLike) -> jax.Array:
         """Velocities (n, 3) after the share ``lam`` of a whole old kick."""
         return (self.carried + lam * self.kick).T
 
 
-def drifted(system, state: State, lam) -> tuple[State, Drift]:
+def drifted(system, state: State, lam: ArrayLike) -> tuple[State, Drift]:
     """The beads moved by their velocities and old forces, lists and noise those of the next step.
 
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar velocity loses

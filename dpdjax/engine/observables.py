@@ -5,11 +5,14 @@ A run evaluates them inside its compiled loop. Stresses are kept as pressure ten
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
+from dpdjax.engine.state import State
 from dpdjax.model.beads import inertias, masses
+from dpdjax.model.fluid import Fluid
 from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
 from dpdjax.pairs.forces import interactions_of
 from dpdjax.pairs.geometry import Columns, Moment, geometry
@@ -23,7 +26,7 @@ SMOOTH = (*STATIC, "drag")
 and is only noise."""
 
 
-def pressure_tensor(fluid, state, parts: tuple[str, ...] = SMOOTH):
+def pressure_tensor(fluid: Fluid, state: State, parts: tuple[str, ...] = SMOOTH) -> jax.Array:
     """The pressure tensor (3, 3) [energy / volume], positive in compression.
 
     Args:
@@ -56,19 +59,19 @@ def _by_origin(fluid, state) -> dict:
     return {KINETIC: kinetic} | pairs
 
 
-def temperature(fluid, state):
+def temperature(fluid: Fluid, state: State) -> jax.Array:
     """Kinetic temperature ``sum m c^2 / (3 n - 3)`` [energy]; three momenta are fixed."""
     twice = jnp.sum(masses(fluid, state)[:, None] * state.velocity**2)
     return twice / (3 * state.position.shape[0] - 3)
 
 
-def rotational_temperature(fluid, state):
+def rotational_temperature(fluid: Fluid, state: State) -> jax.Array:
     """``sum I omega^2 / 3 m`` of the m beads that rotate [energy]; ValueError where none does."""
     rotation = _rotation(state)
     return jnp.mean(inertias(fluid, state)[:, None] * rotation.velocity**2)
 
 
-def rotations(fluid, state) -> dict:
+def rotations(fluid: Fluid, state: State) -> dict:
     """Angular velocities, torques and orientations of the beads that rotate; ValueError where none
     does."""
     rotation = _rotation(state)
@@ -87,12 +90,12 @@ def _rotation(state):
     return state.rotation
 
 
-def momentum(fluid, state):
+def momentum(fluid: Fluid, state: State) -> jax.Array:
     """Total peculiar momentum (3,)."""
     return jnp.sum(masses(fluid, state)[:, None] * state.velocity, axis=0)
 
 
-def standard(fluid, state) -> dict:
+def standard(fluid: Fluid, state: State) -> dict:
     """What a run records unless told otherwise: ``temperature``, ``pressure_tensor``,
     ``potential_energy``, ``momentum``."""
     return {
@@ -103,12 +106,12 @@ def standard(fluid, state) -> dict:
     }
 
 
-def stresses(fluid, state) -> dict:
+def stresses(fluid: Fluid, state: State) -> dict:
     """The pressure tensor by origin under the names ``pressure_kinetic`` and so on."""
     return {f"pressure_{origin}": p for origin, p in _by_origin(fluid, state).items()}
 
 
-def positions(fluid, state) -> dict:
+def positions(fluid: Fluid, state: State) -> dict:
     """Wrapped and unwrapped positions, images, velocities, and the ``strain`` of the box, for
     structure and diffusion.
 
@@ -125,7 +128,7 @@ def positions(fluid, state) -> dict:
 
 
 @functools.cache
-def positions_of(species: int):
+def positions_of(species: int) -> Callable:
     """An observable like :func:`positions` of the beads of one species alone, with the ``strain``
     of the box.
 
@@ -164,7 +167,7 @@ def _geometries(fluid, state):
         yield interaction, geometry(fluid, interaction, beads, neighbours.list.idx, moment)
 
 
-def configurational_temperature(fluid, state):
+def configurational_temperature(fluid: Fluid, state: State) -> jax.Array:
     """``<|grad U|^2> / <laplacian U>`` [energy] (Rugh 1997; Butler et al. 1998).
 
     A thermometer that never looks at velocities. Needs a conservative force.
@@ -184,7 +187,7 @@ def configurational_temperature(fluid, state):
     return jnp.sum(gradient**2) / laplacian
 
 
-def instantaneous_viscosity(fluid, state):
+def instantaneous_viscosity(fluid: Fluid, state: State) -> jax.Array:
     """``sum zeta r^2 e_x^2 e_y^2 / V``: the part of the viscosity with no delay.
 
     The mean over all off-diagonals; the response of the drag stress to a sudden shear. Across the

@@ -1,7 +1,7 @@
 """What a run keeps of each frame: a value at its end, or a mean or integral over it."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -137,7 +137,11 @@ def _told(recorder: Recorder) -> str:
     return name if recorder.how == "last" else f"{recorder.how}({name})"
 
 
-def recorders(observe) -> list[Recorder]:
+Observing = Callable | Recorder | Sequence[Callable | Recorder] | None
+"""What ``observe=`` takes."""
+
+
+def recorders(observe: Observing) -> list[Recorder]:
     """One observable, recorder or a sequence of either, as a list of recorders."""
     if observe is None:
         observe = standard

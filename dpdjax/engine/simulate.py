@@ -4,13 +4,15 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, prng_key
 from dpdjax.engine import motion, order, soundness
 from dpdjax.engine import status as bits
+from dpdjax.engine.flow import Driving
 from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
 from dpdjax.engine.integrator import Integrator
-from dpdjax.engine.record import Recorder, averaged, check_names, recorders
+from dpdjax.engine.record import Observing, Recorder, averaged, check_names, recorders
 from dpdjax.engine.refusals import check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
@@ -23,12 +25,12 @@ from dpdjax.xla import on_cpu
 def simulate(
     fluid: Fluid,
     state: State,
-    key,
-    dt,
+    key: jax.Array,
+    dt: ArrayLike,
     plan: Plan,
-    flow=None,
+    flow: Driving = None,
     *,
-    observe=None,
+    observe: Observing = None,
     integrator: Integrator | None = None,
     remat: bool = False,
 ) -> Trajectory:
@@ -169,7 +171,13 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
 
 
 def step(
-    fluid: Fluid, state: State, key, dt, flow=None, *, integrator: Integrator | None = None
+    fluid: Fluid,
+    state: State,
+    key: jax.Array,
+    dt: ArrayLike,
+    flow: Driving = None,
+    *,
+    integrator: Integrator | None = None,
 ) -> State:
     """One step, for a loop of one's own: pure, so ``jit``, ``vmap`` and ``grad`` go through.
 
@@ -194,9 +202,9 @@ def step(
 def forces(
     fluid: Fluid,
     state: State,
-    key,
-    dt,
-    flow=None,
+    key: jax.Array,
+    dt: ArrayLike,
+    flow: Driving = None,
     *,
     kinds: tuple[str, ...] = EVERYTHING,
 ) -> Forces:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete
 from dpdjax.engine import status as bits
@@ -162,7 +163,7 @@ def energy_and_slope(terms, samples: Samples, kT):
     return energy.reshape(samples.h.shape), force.reshape(samples.h.shape)
 
 
-def friction(terms, samples: Samples, kT):
+def friction(terms, samples: Samples, kT: ArrayLike):
     """The sum of frictions, the shape of ``samples.h``."""
     return evaluate(terms, _flat(samples), kT, derivative=False).reshape(samples.h.shape)
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -105,7 +106,7 @@ class State:
         return {name: getattr(self, name) for name in own}
 
     @property
-    def unwrapped(self):
+    def unwrapped(self) -> jax.Array:
         """Positions followed through the periodic images (n, 3) [length].
 
         Their differences are displacements; under shear they hold what the flow carries a bead
@@ -164,7 +165,7 @@ def assemble(
     )
 
 
-def grow(state: State, codes=None) -> State:
+def grow(state: State, codes: Sequence[int] | None = None) -> State:
     """The same state with larger lists, one or a batch; ``codes``: of each list what is to grow, by
     default all.
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from dpdjax import drawing
 from dpdjax.engine.batching import chosen
+from dpdjax.engine.flow import Flow
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.model import summary
+from dpdjax.model.fluid import Fluid
 
 
 @jax.tree_util.register_static
@@ -88,7 +90,7 @@ class Trajectory:
         title = repr(self).partition(":")[0].replace("(", ", ", 1)
         return summary.as_table(title, [*recorded, ("final", repr(self.final))])
 
-    def plot(self, name: str | None = None, ax=None):
+    def plot(self, name: str | None = None, ax: Any = None) -> Any:
         """Draw a number that was recorded of each frame against time, of each member a line.
 
         Args:
@@ -120,22 +122,22 @@ class Trajectory:
         return ax
 
     @property
-    def fluid(self):
+    def fluid(self) -> Fluid:
         """The matter that was run."""
         return self.system.fluid
 
     @property
-    def flow(self):
+    def flow(self) -> Flow:
         """What drove it."""
         return self.system.flow
 
     @property
-    def dt(self):
+    def dt(self) -> Any:
         """The time step [time]."""
         return self.system.dt
 
     @property
-    def interval(self):
+    def interval(self) -> Any:
         """Time between two frames."""
         return self.dt * self.every
 

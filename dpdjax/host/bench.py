@@ -15,6 +15,7 @@ from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Plan
 from dpdjax.host.run import run
 from dpdjax.model.advice import suggest_dt
+from dpdjax.model.fluid import Fluid
 from dpdjax.pairs import neighbours as lists
 from dpdjax.prepare.start import initial_state
 from dpdjax.xla import each_member
@@ -26,17 +27,17 @@ LARGEST_SETTLE, LONGEST = 100_000_000, 50_000_000
 
 
 def bench(
-    fluid,
-    key,
+    fluid: Fluid | None,
+    key: jax.Array | None,
     *,
     beads: int,
-    dt,
-    density=3.0,
+    dt: float | None,
+    density: float = 3.0,
     batch: int = 1,
-    skin=None,
-    steps=None,
+    skin: float | None = None,
+    steps: int | None = None,
     repeats: int = 5,
-    tangent=False,
+    tangent: str | None = False,
 ) -> dict:
     """Measure the speed of plain runs of a cubic box, or of a batch as ``dpd.run`` would run it.
 

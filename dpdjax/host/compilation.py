@@ -10,7 +10,7 @@ LEAST = 0.5
 """Seconds of compiling from which a program is kept."""
 
 
-def compilation_cache(folder=None) -> str:
+def compilation_cache(folder: str | os.PathLike | None = None) -> str:
     """Keep compiled programs in a folder, where later runs of the same shapes find them; returns
     the folder.
 

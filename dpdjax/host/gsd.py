@@ -2,14 +2,18 @@
 
 import contextlib
 import os
+from collections.abc import Callable, Iterator
 
+import jax
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import prng_key
-from dpdjax.engine.flow import Flow
+from dpdjax.engine.flow import Driving, Flow
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.observables import rotations, standard
 from dpdjax.engine.refusals import check_kinds, check_plan, check_run
+from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
 from dpdjax.host.io import refuse_existing
@@ -18,6 +22,7 @@ from dpdjax.host.run import collected
 from dpdjax.host.stream import Job, Piece, chunk_frames
 from dpdjax.model.beads import inertias, masses, radii
 from dpdjax.model.colloids import solvent_reach
+from dpdjax.model.fluid import Fluid
 
 DRAWN_RADIUS = 0.5
 """Radius of beads that are points, for drawing alone, over the reach of those of the first species.
@@ -27,7 +32,7 @@ TURNING = ("orientation", "angular_velocity")
 """Recorded too where beads rotate."""
 
 
-def gsd_record(fluid, state) -> dict:
+def gsd_record(fluid: Fluid, state: State) -> dict:
     """What a frame of a GSD file holds; give it to ``observe=``."""
     beads = {
         "position": state.position,
@@ -42,7 +47,9 @@ def gsd_record(fluid, state) -> dict:
 
 
 @contextlib.contextmanager
-def gsd_writer(path, fluid, state, mode: str = "x"):
+def gsd_writer(
+    path: str | os.PathLike, fluid: Fluid, state: State, mode: str = "x"
+) -> Iterator[Callable]:
     """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that
     recorded :func:`gsd_record`.
 
@@ -129,7 +136,7 @@ def _check_follows(path, fluid, state) -> None:
         )
 
 
-def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
+def write_gsd(path: str | os.PathLike, trajectory: Trajectory, *, overwrite: bool = False) -> None:
     """Writes the frames of one run, recorded with ``observe=dpd.observe.gsd_record``, to a new GSD
     file.
 
@@ -154,13 +161,13 @@ def write_gsd(path, trajectory, *, overwrite: bool = False) -> None:
 
 
 def run_to_gsd(
-    path,
-    fluid,
-    state,
-    key,
-    dt,
+    path: str | os.PathLike,
+    fluid: Fluid,
+    state: State,
+    key: jax.Array,
+    dt: ArrayLike,
     plan: Plan,
-    flow=None,
+    flow: Driving = None,
     *,
     piece: int = 10,
     overwrite: bool = False,

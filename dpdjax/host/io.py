@@ -40,7 +40,7 @@ def replacing(path):
             os.remove(unfinished)
 
 
-def save_state(path, state: State) -> None:
+def save_state(path: str | os.PathLike, state: State) -> None:
     """Write a state; ``load_state`` gives back the same bits, lists and all.
 
     A run goes on from it exactly, given the key it was started with. A file of that name is
@@ -60,7 +60,7 @@ def save_state(path, state: State) -> None:
         np.savez_compressed(file, meta=json.dumps(meta), **arrays)
 
 
-def load_state(path) -> State:
+def load_state(path: str | os.PathLike) -> State:
     """Read what ``save_state`` wrote.
 
     Raises ValueError where the file is no such state, or needs float64 that is off.

@@ -1,12 +1,22 @@
 """Pictures of the box. Matplotlib is an extra: ``pip install "dpdjax[plot]"``."""
 
+from typing import Any
+
 import numpy as np
 
 from dpdjax.drawing import axes
+from dpdjax.engine.state import State
 from dpdjax.model.beads import radii
+from dpdjax.model.fluid import Fluid
 
 
-def plot_box(state, ax=None, axis: int = 2, thickness: float | None = None, fluid=None):
+def plot_box(
+    state: State,
+    ax: Any = None,
+    axis: int = 2,
+    thickness: float | None = None,
+    fluid: Fluid | None = None,
+) -> Any:
     """A slice through the box: beads as discs of radius 0.5 shaded by depth, colloids as the discs
     they are cut in.
 

@@ -3,7 +3,12 @@
 import warnings
 from collections.abc import Callable
 
+import jax
+from jax.typing import ArrayLike
+
+from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.record import Observing
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
@@ -16,12 +21,12 @@ from dpdjax.model.fluid import Fluid
 def run(
     fluid: Fluid,
     state: State,
-    key,
-    dt,
+    key: jax.Array,
+    dt: ArrayLike,
     plan: Plan,
-    flow=None,
+    flow: Driving = None,
     *,
-    observe=None,
+    observe: Observing = None,
     integrator: Integrator | None = None,
     progress: bool = True,
 ) -> Trajectory:

@@ -8,13 +8,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import prng_key
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
+from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
-from dpdjax.engine.record import averaged, recorders
+from dpdjax.engine.record import Observing, averaged, recorders
 from dpdjax.engine.refusals import check_finite, check_kinds, check_plan, check_run, list_trouble
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
@@ -52,12 +54,12 @@ class Piece(NamedTuple):
 def stream(
     fluid: Fluid,
     state: State,
-    key,
-    dt,
+    key: jax.Array,
+    dt: ArrayLike,
     plan: Plan,
-    flow=None,
+    flow: Driving = None,
     *,
-    observe=None,
+    observe: Observing = None,
     integrator: Integrator | None = None,
     piece: int | None = None,
 ) -> Iterator[Piece]:

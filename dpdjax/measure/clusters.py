@@ -7,9 +7,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
-from dpdjax.measure.spheres import by_frame, close_pairs, nearest
+from dpdjax.measure.spheres import Spheres, by_frame, close_pairs, nearest
 from dpdjax.measure.statistics import Estimate
 
 
@@ -56,7 +57,7 @@ class Clusters:
         )
 
 
-def clusters(what, *, gap: float | None = None) -> Clusters:
+def clusters(what: Trajectory | Spheres, *, gap: float | None = None) -> Clusters:
     """Clusters of spheres joined by gaps below ``gap``, and whether they percolate.
 
     A cluster percolates where a way along its contacts leads from a sphere to an image of the same

@@ -6,9 +6,10 @@ import dataclasses
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, pieces_of_member, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
-from dpdjax.measure.spheres import close_pairs, frames_of
+from dpdjax.measure.spheres import Spheres, close_pairs, frames_of
 from dpdjax.measure.statistics import Estimate
 
 SURVIVAL_PIECES = 4
@@ -49,7 +50,7 @@ class Bonds:
 
 
 def contact_bonds(
-    what,
+    what: Trajectory | Spheres,
     *,
     gap: float | None = None,
     forms: float = 0.8,
@@ -89,7 +90,7 @@ def contact_bonds(
 
 
 def bonded_pairs(
-    what, *, gap: float | None = None, forms: float = 0.8, breaks: float = 1.0
+    what: Trajectory | Spheres, *, gap: float | None = None, forms: float = 0.8, breaks: float = 1.0
 ) -> list[list[np.ndarray]]:
     """The bonds of :func:`contact_bonds` as pairs of indices ``i < j``, (bonds, 2), by member and
     frame: ``pairs[member][frame]``.

@@ -6,6 +6,7 @@ import numpy as np
 
 from dpdjax.checks import positive
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
@@ -39,7 +40,7 @@ class ContactNumber:
         return curve(ax, self.z, self.share, self.error, "contacts z", "P(z)")
 
 
-def contact_number(what, *, gap: float | None = None) -> ContactNumber:
+def contact_number(what: Trajectory | Spheres, *, gap: float | None = None) -> ContactNumber:
     """The number of others closer than ``gap``, its distribution, and its mean in each frame.
 
     Args:

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import chosen_beads
-from dpdjax.measure.spheres import as_spheres, by_frame, nearest, of_run
+from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, nearest, of_run
 from dpdjax.measure.structure import RadialDistribution, distance_edges, whole_bins
 
 PAIRS_AT_ONCE = 2**14
@@ -34,7 +35,7 @@ class PairDistribution:
 
 
 def pair_distribution(
-    what, *, bins: int = 100, h_max: float | None = None, h_min: float = -0.05
+    what: Trajectory | Spheres, *, bins: int = 100, h_max: float | None = None, h_min: float = -0.05
 ) -> PairDistribution:
     """The pair distribution by surface gap: how many pairs have gap h, over how many an ideal gas
     would have.
@@ -64,7 +65,12 @@ def pair_distribution(
 
 
 def partial_distribution(
-    trajectory, species_a: int, species_b: int, *, bins: int = 100, r_max: float | None = None
+    trajectory: Trajectory,
+    species_a: int,
+    species_b: int,
+    *,
+    bins: int = 100,
+    r_max: float | None = None,
 ) -> RadialDistribution:
     """The radial distribution function between two species, or within one, by the distance of the
     centres.

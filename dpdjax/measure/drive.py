@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 
 from dpdjax.engine.drivers import Drive
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
 from dpdjax.measure.replicas import bead_masses, refuse_scan, shared, species_of
@@ -35,14 +36,14 @@ class Driven:
     friction: Estimate
     is_torque: bool = False
 
-    def reynolds(self, *, density, viscosity, radius) -> float:
+    def reynolds(self, *, density: float, viscosity: float, radius: float) -> float:
         """``density v radius / viscosity``, for an angular velocity with ``v = omega radius``: to
         stay below 0.1 or so."""
         speed = abs(self.velocity.value) * (radius if self.is_torque else 1.0)
         return float(density * speed * radius / viscosity)
 
 
-def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
+def driven_diffusion(trajectory: Trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
     """Diffusion coefficient of spheres from their drift under ``flow=dpd.drive(force=...)``.
 
     Of one sphere; several, pushed together, drift with their collective mobility.
@@ -81,7 +82,7 @@ def driven_diffusion(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driv
     return _result(trajectory, velocity, force, steps.size, is_torque=False)
 
 
-def driven_rotation(trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
+def driven_rotation(trajectory: Trajectory, *, skip: float = 0.1, blocks: int = 20) -> Driven:
     """Rotational diffusion coefficient of spheres from their angular velocity under
     ``flow=dpd.drive(torque=...)``.
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from jax.typing import ArrayLike
 from scipy.optimize import brentq
 
 from dpdjax.checks import positive
@@ -20,7 +21,14 @@ EARLIEST = 1e-8
 """``nu k^2 t`` of the longest wave of a box from which its waves are added up."""
 
 
-def sphere_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
+def sphere_diffusion(
+    *,
+    kT: ArrayLike,
+    viscosity: ArrayLike,
+    radius: ArrayLike,
+    box: ArrayLike = math.inf,
+    slip_length: ArrayLike = 0.0,
+) -> ArrayLike:
     """Diffusion coefficient of a sphere in a periodic cube [length^2/time].
 
     ``kT/(6 pi viscosity) [(1 + 3 b/R)/((1 + 2 b/R) R) - 2.837297/L + 4 pi R^2/(3 L^3 (1 + 2
@@ -41,7 +49,14 @@ def sphere_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
     return kT / (6 * math.pi * viscosity) * inverse
 
 
-def sphere_rotational_diffusion(*, kT, viscosity, radius, box=math.inf, slip_length=0.0):
+def sphere_rotational_diffusion(
+    *,
+    kT: ArrayLike,
+    viscosity: ArrayLike,
+    radius: ArrayLike,
+    box: ArrayLike = math.inf,
+    slip_length: ArrayLike = 0.0,
+) -> ArrayLike:
     """Rotational diffusion coefficient of a sphere in a periodic cube [1/time].
 
     ``kT (1 + 3 b/R)/(8 pi viscosity R^3) - kT/(6 viscosity L^3)``; infinite for full slip.
@@ -63,7 +78,14 @@ def _slip_factors(slip_length, radius):
     return (1 + 3 * beta) / (1 + 2 * beta), 1 / (1 + 2 * beta)
 
 
-def velocity_tail(time, *, kT, viscosity, density, box=None):
+def velocity_tail(
+    time: ArrayLike,
+    *,
+    kT: ArrayLike,
+    viscosity: ArrayLike,
+    density: ArrayLike,
+    box: ArrayLike = None,
+) -> ArrayLike:
     """``<v(t) . v(0)>`` of any sphere that the fluid carries [length^2/time^2], (times,), at ``t``
     well above ``R^2/nu``.
 
@@ -82,7 +104,14 @@ def velocity_tail(time, *, kT, viscosity, density, box=None):
     return 2 * kT / (density * box**3) * _wave_sum(nu_t, box, 0)
 
 
-def angular_velocity_tail(time, *, kT, viscosity, density, box=None):
+def angular_velocity_tail(
+    time: ArrayLike,
+    *,
+    kT: ArrayLike,
+    viscosity: ArrayLike,
+    density: ArrayLike,
+    box: ArrayLike = None,
+) -> ArrayLike:
     """``<omega(t) . omega(0)>`` of any sphere that turns with the fluid [1/time^2], (times,), at
     ``t`` well above ``R^2/nu``.
 
@@ -115,7 +144,12 @@ def _wave_sum(nu_t, box, power: int):
 
 
 def hydrodynamic_radius(
-    box: Sequence, diffusion: Sequence[Estimate], *, kT, viscosity, slip_length=0.0
+    box: Sequence,
+    diffusion: Sequence[Estimate],
+    *,
+    kT: float,
+    viscosity: float,
+    slip_length: float = 0.0,
 ) -> Estimate:
     """The radius with which :func:`sphere_diffusion` fits diffusion coefficients in cubes of
     several sides [length].

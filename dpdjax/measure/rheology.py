@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, from_replicas
@@ -31,7 +32,7 @@ class Moduli:
         return self.loss.scaled(1.0 / self.frequency)
 
 
-def moduli(trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli:
+def moduli(trajectory: Trajectory, *, skip: int = 1, averaged: bool | None = None) -> Moduli:
     """Storage and loss modulus of a run under ``dpd.oscillatory_shear``.
 
     The stress ``-P_xy`` of every whole cycle is fitted by a constant, a sine and a cosine; the

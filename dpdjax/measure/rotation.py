@@ -12,6 +12,7 @@ import numpy as np
 from dpdjax.drawing import curve
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.rotation import axis_of
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs, transport
 from dpdjax.measure.blocks import standard_error
 from dpdjax.measure.forgetting import Memory
@@ -46,7 +47,7 @@ class RotationalCorrelation:
 
 
 def angular_velocity_autocorrelation(
-    trajectory, *, t_max: float | None = None
+    trajectory: Trajectory, *, t_max: float | None = None
 ) -> RotationalCorrelation:
     """``<omega(t) . omega(0)>`` of all spheres that rotate; ``3 kT / I`` at t = 0.
 
@@ -64,7 +65,9 @@ def angular_velocity_autocorrelation(
     return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), name)
 
 
-def orientation_correlation(trajectory, *, t_max: float | None = None) -> RotationalCorrelation:
+def orientation_correlation(
+    trajectory: Trajectory, *, t_max: float | None = None
+) -> RotationalCorrelation:
     """``<u(t) . u(0)>`` of the axis of all spheres that rotate; ``exp(-2 D_r t)`` at late times.
 
     Arguments and errors as in :func:`angular_velocity_autocorrelation`.
@@ -77,7 +80,7 @@ def orientation_correlation(trajectory, *, t_max: float | None = None) -> Rotati
 
 
 def rotational_diffusion(
-    trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None
+    trajectory: Trajectory, *, method: str = "msd", fit: tuple[float, float] | None = None
 ) -> Estimate:
     """The rotational diffusion coefficient ``D_r`` [1/time] of the spheres of a run.
 

@@ -6,8 +6,9 @@ import functools
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import error_of
-from dpdjax.measure.spheres import as_spheres, by_frame, shift_of
+from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, shift_of
 from dpdjax.measure.structure import whole_bins
 
 
@@ -33,7 +34,9 @@ class StructureFactor:
         return curve(ax, self.q, self.s, self.error, "q [1 / length]", "S(q)")
 
 
-def structure_factor(what, *, q_max: float | None = None, bins: int = 60) -> StructureFactor:
+def structure_factor(
+    what: Trajectory | Spheres, *, q_max: float | None = None, bins: int = 60
+) -> StructureFactor:
     """The structure factor ``S(q) = |sum exp(-i q . r)|^2 / n``, at the wave vectors of the box.
 
     Those are ``2 pi m / L``, and in a tilted box ``2 pi (m_x / L_x, m_y / L_y - strain m_x / L_x,

@@ -3,17 +3,19 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dpdjax.engine.state import State
 from dpdjax.measure.spheres import frame_of, shift_of, with_images
 from dpdjax.model.beads import radii
 from dpdjax.model.colloids import solvent_reach
+from dpdjax.model.fluid import Fluid
 
 CLEARANCE, PROBE = 0.8, 0.5
 """Of the reach of the solvent."""
 
 
 def solvent_density(
-    fluid,
-    state,
+    fluid: Fluid,
+    state: State,
     *,
     clearance: float | None = None,
     probe: float | None = None,

@@ -13,9 +13,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dpdjax.checks import number, positive
+from dpdjax.engine.state import State
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.reading import as_frames, chosen_beads, of_beads, recorded, strains
 from dpdjax.model.beads import radii
+from dpdjax.model.fluid import Fluid
 
 IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
 """The box and the 26 around it, in lattice vectors."""
@@ -80,7 +83,7 @@ def _fitted(values, shape, name: str) -> np.ndarray:
         ) from None
 
 
-def spheres(trajectory, *, species: int | None = None) -> Spheres:
+def spheres(trajectory: Trajectory, *, species: int | None = None) -> Spheres:
     """The spheres of one species of a run, with the radius ``fluid.radius[species]`` times each
     bead's size.
 
@@ -126,7 +129,7 @@ def _of_radius(fluid, species: int | None) -> int:
     return round_ones[0] if species is None else species
 
 
-def spheres_of(fluid, state, *, species: int | None = None) -> Spheres:
+def spheres_of(fluid: Fluid, state: State, *, species: int | None = None) -> Spheres:
     """The spheres of one species of a single state; ``species`` and ValueError as in
     :func:`spheres`, or for a batch."""
     if np.ndim(state.position) != 2:

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete
 
@@ -41,7 +42,7 @@ class Estimate:
             value, math.hypot(self.error, value * other.error) / abs(other.value), self.blocks
         )
 
-    def deviation(self, other) -> float:
+    def deviation(self, other: "Estimate | float") -> float:
         """Distance from a number or another estimate in combined standard errors; infinite where
         both are 0."""
         value, error = (
@@ -63,7 +64,7 @@ def from_replicas(values) -> Estimate:
     )
 
 
-def block_average(series, blocks: int = 20) -> Estimate:
+def block_average(series: ArrayLike, blocks: int = 20) -> Estimate:
     """Mean of a correlated series, with the standard error over ``blocks`` pieces of it.
 
     Args:

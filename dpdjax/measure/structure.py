@@ -3,12 +3,15 @@
 import dataclasses
 import functools
 import warnings
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import as_frames, recorded, side_lengths, strains
 from dpdjax.pairs import box as boxes
@@ -33,13 +36,17 @@ class RadialDistribution:
     g: np.ndarray
     error: np.ndarray
 
-    def plot(self, ax=None):
+    def plot(self, ax: Any = None) -> Any:
         """Draw g with its error band; returns the matplotlib axes."""
         return curve(ax, self.r, self.g, self.error, "r [length]", "g(r)")
 
 
 def radial_distribution(
-    trajectory, *, box=None, bins: int = 100, r_max: float | None = None
+    trajectory: Trajectory | ArrayLike,
+    *,
+    box: boxes.Box | ArrayLike | None = None,
+    bins: int = 100,
+    r_max: float | None = None,
 ) -> RadialDistribution:
     """The radial distribution function of all recorded beads, whatever their species.
 

@@ -12,6 +12,7 @@ import warnings
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import PIECES, pieces_of_member, standard_error
 from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
@@ -74,7 +75,11 @@ class VelocityAutocorrelation:
 
 
 def mean_squared_displacement(
-    trajectory, *, species: int | None = None, t_max: float | None = None, axes: str = "xyz"
+    trajectory: Trajectory,
+    *,
+    species: int | None = None,
+    t_max: float | None = None,
+    axes: str = "xyz",
 ) -> MeanSquaredDisplacement:
     """The mean squared displacement of a run recorded with ``observe=dpd.observe.positions``.
 
@@ -105,7 +110,11 @@ def mean_squared_displacement(
 
 
 def velocity_autocorrelation(
-    trajectory, *, species: int | None = None, t_max: float | None = None, axes: str = "xyz"
+    trajectory: Trajectory,
+    *,
+    species: int | None = None,
+    t_max: float | None = None,
+    axes: str = "xyz",
 ) -> VelocityAutocorrelation:
     """The velocity autocorrelation of a run recorded with ``observe=dpd.observe.positions``.
 
@@ -118,7 +127,7 @@ def velocity_autocorrelation(
 
 
 def diffusion(
-    trajectory,
+    trajectory: Trajectory,
     *,
     method: str = "msd",
     fit: tuple[float, float] | None = None,

@@ -31,9 +31,12 @@ from dpdjax.engine.observables import (
     temperature,
 )
 from dpdjax.engine.record import Recorder, integral, mean
+from dpdjax.engine.state import State
+from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from dpdjax.model.fluid import Fluid
 
 CLEARLY, LIKELY = 3.0, 0.5
 """Standard errors at which something is there, and the share of an error above which it is told of.
@@ -41,7 +44,7 @@ CLEARLY, LIKELY = 3.0, 0.5
 
 
 def shear_viscosity(
-    trajectory, *, skip: float = 0.1, blocks: int = 20, control: bool = True
+    trajectory: Trajectory, *, skip: float = 0.1, blocks: int = 20, control: bool = True
 ) -> Estimate:
     """Viscosity ``-<P_xy> / rate`` of a sheared run [energy time / volume].
 
@@ -96,7 +99,7 @@ shear_record = mean(_sheared)
 random stress."""
 
 
-def green_kubo_record(fluid, state) -> dict:
+def green_kubo_record(fluid: Fluid, state: State) -> dict:
     """What :func:`green_kubo` needs of each frame."""
     smooth = pressure_tensor(fluid, state, STATIC)
     drag = pressure_tensor(fluid, state, ("drag",))
@@ -108,7 +111,9 @@ def green_kubo_record(fluid, state) -> dict:
     }
 
 
-def green_kubo(trajectory, *, window: float, skip: float = 0.0, blocks: int = 16) -> Estimate:
+def green_kubo(
+    trajectory: Trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
+) -> Estimate:
     """Viscosity from the stress autocorrelation of a fluid in equilibrium.
 
     ``eta_inf + V/kT integral_0^window <[K + C - D](0) [K + C + D](t)> dt`` with the flipped
@@ -177,7 +182,12 @@ einstein_helfand_record = [
 
 
 def einstein_helfand(
-    trajectory, *, window: float, start: float | None = None, skip: float = 0.0, blocks: int = 16
+    trajectory: Trajectory,
+    *,
+    window: float,
+    start: float | None = None,
+    skip: float = 0.0,
+    blocks: int = 16,
 ) -> Estimate:
     """Viscosity from the growth of the integrated stress of a fluid in equilibrium.
 
@@ -236,7 +246,7 @@ def _warn_bent(early, late, found: Estimate):
 
 
 @functools.cache
-def wave_of(waves: int = 1):
+def wave_of(waves: int = 1) -> Recorder:
     """What :func:`sinusoidal_viscosity` needs: the mean amplitude of the velocity wave
     ``U sin(2 pi waves y / L_y)``."""
 
@@ -251,7 +261,9 @@ def wave_of(waves: int = 1):
     return mean(observe)
 
 
-def sinusoidal_viscosity(trajectory, *, skip: float = 0.2, blocks: int = 20) -> Estimate:
+def sinusoidal_viscosity(
+    trajectory: Trajectory, *, skip: float = 0.2, blocks: int = 20
+) -> Estimate:
     """Viscosity at wavenumber k from the flow under ``dpd.flows.sinusoidal_force``.
 
     ``density amplitude / (U k^2)``. Take the result at two wavelengths to k = 0 with

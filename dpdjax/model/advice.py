@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import (
@@ -26,7 +27,7 @@ SORTING_COST = 2.4
 tests/benchmarks)."""
 
 
-def suggest_dt(fluid: Fluid, density, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
+def suggest_dt(fluid: Fluid, density: ArrayLike, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
     """The time step that keeps the temperature error of velocity-Verlet below 0.5 %.
 
     The error is about 0.7 omega dt in an unstructured fluid, with omega the
@@ -93,7 +94,7 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
     )
 
 
-def suggest_skin(fluid: Fluid, dt, interaction: int = 0, sorting: float = 0.0) -> float:
+def suggest_skin(fluid: Fluid, dt: ArrayLike, interaction: int = 0, sorting: float = 0.0) -> float:
     """The skin of one list that costs least: wide lists hold more pairs, narrow ones are built more
     often.
 

@@ -3,12 +3,15 @@
 ``beads`` is a state, or anything with their ``species`` (n,) and ``size`` (n,).
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 
 from dpdjax.model.fluid import Fluid
 
 
-def masses(fluid: Fluid, beads):
+def masses(fluid: Fluid, beads: Any) -> jax.Array:
     """Mass of each bead (n,)."""
     return fluid.mass[beads.species] * beads.size**3
 
@@ -21,7 +24,7 @@ def radii(fluid: Fluid, beads):
     return of_species[beads.species] * beads.size
 
 
-def inertias(fluid: Fluid, beads):
+def inertias(fluid: Fluid, beads: Any) -> jax.Array:
     """Moment of inertia of each bead that rotates (m,) [mass length^2]."""
     slots = beads.rotation.slots
     return inertia_of(fluid, beads.species[slots], beads.size[slots])

@@ -4,7 +4,9 @@ Radii ``R_i``, ``R_j`` and ``kT`` are asked for by name, the engine gives them. 
 source reproduce it to the letter, where the default here differs.
 """
 
+import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.model.declare import (
     attracts,
@@ -17,12 +19,12 @@ from dpdjax.model.declare import (
 )
 
 
-def solvent_cut(*, r_c):
+def solvent_cut(*, r_c: ArrayLike) -> jax.Array:
     """The reach of solvent beads, taken for a gap [length]."""
     return r_c
 
 
-def balanced_cut(*, r_c, R_i, R_j):
+def balanced_cut(*, r_c: ArrayLike, R_i: ArrayLike, R_j: ArrayLike) -> jax.Array:
     """Gap up to which a colloid and a solvent bead interact, ``(r_c^3 + R^3)^(1/3) - R`` [length].
 
     The shell around the colloid then has the volume of the sphere around a solvent bead, so as many
@@ -36,7 +38,9 @@ def balanced_cut(*, r_c, R_i, R_j):
 @reaches(balanced_cut)
 @proportional_to("strength")
 @bounded(r_c="positive")
-def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
+def balanced_repulsion(
+    h: ArrayLike, *, strength: ArrayLike, r_c: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """Soft repulsion of colloid and solvent, force ``strength/r' (1 - h/r')``, with ``r'`` of
     :func:`balanced_cut`.
 
@@ -51,7 +55,9 @@ def balanced_repulsion(h, *, strength, r_c, R_i, R_j):
 @reaches(balanced_cut)
 @proportional_to("strength")
 @bounded(r_c="positive")
-def scripts_repulsion(h, *, strength, r_c, R_i, R_j):
+def scripts_repulsion(
+    h: ArrayLike, *, strength: ArrayLike, r_c: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """:func:`balanced_repulsion` as the group's scripts have it: ``strength`` over the cut-off from
     the *centre*."""
     cut = balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)
@@ -65,7 +71,9 @@ def scripts_repulsion(h, *, strength, r_c, R_i, R_j):
 @friction
 @reaches(balanced_cut)
 @bounded(gamma="not negative", r_c="positive")
-def balanced_drag(h, *, gamma, r_c, R_i, R_j):
+def balanced_drag(
+    h: ArrayLike, *, gamma: ArrayLike, r_c: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """DPD friction of colloid and solvent, ``gamma (1 - h/r')^2`` with ``r'`` of
     :func:`balanced_cut`."""
     return gamma * (1.0 - h / balanced_cut(r_c=r_c, R_i=R_i, R_j=R_j)) ** 2
@@ -75,7 +83,7 @@ def balanced_drag(h, *, gamma, r_c, R_i, R_j):
 @reaches(lambda *, Delta: Delta)
 @proportional_to("f")
 @bounded(f="not negative", Delta="positive", r_c="positive")
-def contact(h, *, f, Delta, r_c):
+def contact(h: ArrayLike, *, f: ArrayLike, Delta: ArrayLike, r_c: ArrayLike) -> jax.Array:
     """Semi-hard contact (after Jamali & Boromand 2015): force ``f (1 - h/Delta)^3`` up to
     ``Delta``, ``f (1 - h/r_c)`` in overlap.
 
@@ -91,7 +99,9 @@ def contact(h, *, f, Delta, r_c):
 @reaches(lambda *, Delta: Delta)
 @proportional_to("f")
 @bounded(f="not negative", Delta="positive", r_c="positive")
-def scaled_contact(h, *, f, Delta, r_c, R_i, R_j):
+def scaled_contact(
+    h: ArrayLike, *, f: ArrayLike, Delta: ArrayLike, r_c: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """:func:`contact` times ``((R_i + R_j)/2)^3``, as in the code behind the published data."""
     return contact(h, f=f, Delta=Delta, r_c=r_c) * (0.5 * (R_i + R_j)) ** 3
 
@@ -101,7 +111,7 @@ def scaled_contact(h, *, f, Delta, r_c, R_i, R_j):
 @attracts(lambda *, kappa, r0: r0 + 3.0 / kappa)
 @proportional_to("D0")
 @bounded(D0="not negative", kappa="positive")
-def morse(h, *, D0, kappa, r0):
+def morse(h: ArrayLike, *, D0: ArrayLike, kappa: ArrayLike, r0: ArrayLike) -> jax.Array:
     """Morse potential ``D0 (exp(-2 kappa (h - r0)) - 2 exp(-kappa (h - r0)))`` [energy] (Morse
     1929, eq. 4).
 
@@ -117,7 +127,9 @@ def morse(h, *, D0, kappa, r0):
 @attracts(lambda *, r_g: 2.0 * r_g * (1.0 - 0.1**0.5))
 @proportional_to("kT")
 @bounded(phi_p="not negative", r_g="positive")
-def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
+def asakura_oosawa(
+    h: ArrayLike, *, phi_p: ArrayLike, r_g: ArrayLike, kT: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """Depletion attraction by ideal polymer (Asakura & Oosawa 1954): osmotic pressure times the
     overlap of the depletion zones.
 
@@ -136,7 +148,9 @@ def asakura_oosawa(h, *, phi_p, r_g, kT, R_i, R_j):
 @reaches(lambda *, kappa: 8.0 / kappa)
 @proportional_to("epsilon")
 @bounded(kappa="positive")
-def yukawa(h, *, epsilon, kappa, R_i, R_j):
+def yukawa(
+    h: ArrayLike, *, epsilon: ArrayLike, kappa: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """Screened Coulomb potential of two spheres, ``epsilon (R_i + R_j)/r exp(-kappa h)`` [energy].
 
     ``epsilon`` is the energy at contact, ``1/kappa`` the screening length (Verwey & Overbeek 1948).
@@ -148,7 +162,9 @@ def yukawa(h, *, epsilon, kappa, R_i, R_j):
 @friction
 @of_viscosity("eta_0")
 @bounded(eta_0="not negative", delta="positive")
-def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
+def squeezing_lubrication(
+    h: ArrayLike, *, eta_0: ArrayLike, delta: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """Squeezing friction ``3 pi eta_0/(2 h) ((R_i + R_j)/2)^2``, constant below ``delta`` (Ball &
     Melrose 1997, appendix A).
 
@@ -161,7 +177,9 @@ def squeezing_lubrication(h, *, eta_0, delta, R_i, R_j):
 @friction
 @of_viscosity("eta_0")
 @bounded(eta_0="not negative", delta="positive")
-def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
+def unequal_lubrication(
+    h: ArrayLike, *, eta_0: ArrayLike, delta: ArrayLike, R_i: ArrayLike, R_j: ArrayLike
+) -> jax.Array:
     """Squeezing friction ``6 pi eta_0/h (R_i R_j/(R_i + R_j))^2``, exact to leading order (Jeffrey
     & Onishi 1984, eq. 3.17)."""
     return 6.0 * jnp.pi * eta_0 / jnp.maximum(h, delta) * (R_i * R_j / (R_i + R_j)) ** 2
@@ -170,7 +188,16 @@ def unequal_lubrication(h, *, eta_0, delta, R_i, R_j):
 @friction
 @of_viscosity("eta_0")
 @bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
-def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
+def literal_drag(
+    h: ArrayLike,
+    *,
+    gamma: ArrayLike,
+    eta_0: ArrayLike,
+    delta: ArrayLike,
+    r_c: ArrayLike,
+    R_i: ArrayLike,
+    R_j: ArrayLike,
+) -> jax.Array:
     """Drag of lubricated colloids as first published: :func:`central_drag` and lubrication, none of
     either in overlap."""
     lubrication = squeezing_lubrication(h, eta_0=eta_0, delta=delta, R_i=R_i, R_j=R_j)
@@ -180,7 +207,16 @@ def literal_drag(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
 @friction
 @of_viscosity("eta_0")
 @bounded(gamma="not negative", eta_0="not negative", delta="positive", r_c="positive")
-def literal_noise(h, *, gamma, eta_0, delta, r_c, R_i, R_j):
+def literal_noise(
+    h: ArrayLike,
+    *,
+    gamma: ArrayLike,
+    eta_0: ArrayLike,
+    delta: ArrayLike,
+    r_c: ArrayLike,
+    R_i: ArrayLike,
+    R_j: ArrayLike,
+) -> jax.Array:
     """The friction behind the noise of lubricated colloids as first published,
     ``(gamma + a_sq) w^2``.
 

@@ -7,8 +7,10 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, not_negative, positive
 from dpdjax.model import colloid_laws, laws
@@ -21,7 +23,7 @@ SOLVENT, COLLOID = 0, 1
 
 def colloid_fluid(
     *,
-    kT=0.1,
+    kT: ArrayLike = 0.1,
     gamma=4.5,
     eta_0=0.3,
     D0=0.0,
@@ -160,7 +162,7 @@ def sphere_volume(radius):
     return 4.0 / 3.0 * math.pi * radius**3
 
 
-def diffusion_time(fluid: Fluid):
+def diffusion_time(fluid: Fluid) -> jax.Array:
     """The bare diffusion time of a colloid, ``tau = R^2/D`` with ``D = kT/(6 pi eta_0 R)`` [time].
 
     Results of suspensions are told in ``t/tau``. It supposes stick, and that ``eta_0`` is the

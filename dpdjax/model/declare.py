@@ -17,31 +17,31 @@ BOUNDS = {"positive": positive, "not negative": not_negative}
 """What :func:`bounded` may say of a coefficient."""
 
 
-def reaches(function: Callable):
+def reaches(function: Callable) -> Callable:
     """A decorator that says where a law ends: ``function(*, ...)`` of its coefficients, R_i, R_j
     and kT [length]."""
     return _declared("reach", function)
 
 
-def projected(projector: str):
+def projected(projector: str) -> Callable:
     """A decorator that says which part of the relative velocity a friction acts on, one of
     ``PROJECTORS``."""
     return _declared("projector", known_projector(projector))
 
 
-def potential(law: Callable):
+def potential(law: Callable) -> Callable:
     """A decorator that says that a law is an energy, so that it is refused where a friction is
     wanted."""
     return _declared("kind", POTENTIAL)(law)
 
 
-def friction(law: Callable):
+def friction(law: Callable) -> Callable:
     """A decorator that says that a law is a friction, so that it is refused where a potential is
     wanted."""
     return _declared("kind", FRICTION)(law)
 
 
-def bounded(**bounds: str):
+def bounded(**bounds: str) -> Callable:
     """A decorator that says which numbers a law takes, ``@dpd.laws.bounded(gamma="not negative",
     r_c="positive")``.
 
@@ -54,20 +54,20 @@ def bounded(**bounds: str):
     return _declared("bounds", bounds)
 
 
-def attracts(function: Callable):
+def attracts(function: Callable) -> Callable:
     """A decorator that says how far a law attracts: the gap, ``function(*, ...)`` as for
     ``reaches``, where a tenth of its depth is left [length]. Spheres closer than that are in
     contact unless told otherwise."""
     return _declared("attraction", function)
 
 
-def proportional_to(coefficient: str):
+def proportional_to(coefficient: str) -> Callable:
     """A decorator that names the coefficient a potential is proportional to:
     ``fluid.set(kT=..., energies="scale")`` scales it."""
     return _declared("strength", coefficient)
 
 
-def of_viscosity(coefficient: str):
+def of_viscosity(coefficient: str) -> Callable:
     """A decorator that names the coefficient of a friction that is the viscosity of the solvent,
     which tells diffusion times."""
     return _declared("viscosity", coefficient)

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, not_negative, positive
 from dpdjax.model import summary
@@ -145,7 +146,7 @@ class Fluid:
             sorted({name for i in self.interactions for t in i.terms for name in t.coefficients})
         )
 
-    def value(self, name: str, *, between=None):
+    def value(self, name: str, *, between: Sequence | None = None) -> Any:
         """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or
         a coefficient.
 
@@ -199,7 +200,9 @@ class Fluid:
         """Whether any number carries a batch axis."""
         return bool(jax.tree.leaves(self.batch_axes()))
 
-    def set(self, *, between=None, energies: str | None = None, **numbers) -> "Fluid":
+    def set(
+        self, *, between: Sequence | None = None, energies: str | None = None, **numbers
+    ) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
         ``between``: the two species (or groups of species) whose terms alone take them. ``kT``,
@@ -246,7 +249,10 @@ class Fluid:
 
 
 def interaction(
-    between, conservative: Sequence[Term] = (), drag: Sequence[Term] = (), random=None
+    between: Sequence,
+    conservative: Sequence[Term] = (),
+    drag: Sequence[Term] = (),
+    random: Sequence[Term] | None = None,
 ) -> Interaction:
     """What acts between two groups of beads, or within one.
 
@@ -282,10 +288,10 @@ def fluid(
     conservative: Sequence[Term] = (),
     drag: Sequence[Term] = (),
     *,
-    kT,
-    mass=1.0,
-    radius=None,
-    inertia=None,
+    kT: ArrayLike,
+    mass: ArrayLike = 1.0,
+    radius: Any = None,
+    inertia: Any = None,
     species: int | None = None,
     interactions: Sequence[Interaction] = (),
 ) -> Fluid:

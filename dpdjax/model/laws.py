@@ -8,7 +8,9 @@ truncates every law at its reach, so a law never mentions its cut-off twice.
 For point beads the gap is the centre distance.
 """
 
+import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.model.declare import (
     TRANSVERSE,
@@ -23,7 +25,7 @@ from dpdjax.model.declare import (
 @potential
 @proportional_to("a")
 @bounded(r_c="positive")
-def soft_repulsion(h, *, a, r_c):
+def soft_repulsion(h: ArrayLike, *, a: ArrayLike, r_c: ArrayLike) -> jax.Array:
     """Soft repulsion of Groot & Warren (1997, eq. 4): the force is ``a (1 - h/r_c)``.
 
     Parameters: gap ``h`` [length], ``a`` [energy / length], ``r_c`` [length].
@@ -34,7 +36,7 @@ def soft_repulsion(h, *, a, r_c):
 
 @friction
 @bounded(gamma="not negative", r_c="positive")
-def central_drag(h, *, gamma, r_c):
+def central_drag(h: ArrayLike, *, gamma: ArrayLike, r_c: ArrayLike) -> jax.Array:
     """DPD friction ``gamma (1 - h/r_c)**2`` along the line of centres.
 
     Groot & Warren (1997, eqs. 5 and 8). ``gamma`` [mass / time].
@@ -44,7 +46,7 @@ def central_drag(h, *, gamma, r_c):
 
 @friction
 @bounded(gamma="not negative", r_c="positive", s="not negative")
-def power_drag(h, *, gamma, r_c, s):
+def power_drag(h: ArrayLike, *, gamma: ArrayLike, r_c: ArrayLike, s: ArrayLike) -> jax.Array:
     """DPD friction ``gamma (1 - h/r_c)**s`` with a free weight exponent ``s``.
 
     Small ``s`` raises viscosity and Schmidt number (Fan et al. 2006). Values are
@@ -59,7 +61,7 @@ def power_drag(h, *, gamma, r_c, s):
 @friction
 @projected(TRANSVERSE)
 @bounded(gamma_t="not negative", r_c="positive")
-def transverse_drag(h, *, gamma_t, r_c):
+def transverse_drag(h: ArrayLike, *, gamma_t: ArrayLike, r_c: ArrayLike) -> jax.Array:
     """Friction ``gamma_t (1 - h/r_c)**2`` across the line of centres (Junghans, Praprotnik & Kremer
     2008, eqs. 3 and 4).
 

@@ -1,6 +1,8 @@
 """Pair laws of marbles, large spheres whose surface drags the solvent (Zhou & Schmid 2015)."""
 
+import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.model.declare import (
     FULL,
@@ -23,7 +25,15 @@ one put there is pushed out."""
 @reaches(lambda *, sigma, r_0, R_i, R_j: r_0 + WIDEST * sigma - R_i - R_j)
 @proportional_to("epsilon")
 @bounded(epsilon="not negative", sigma="positive")
-def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
+def shifted_repulsion(
+    h: ArrayLike,
+    *,
+    epsilon: ArrayLike,
+    sigma: ArrayLike,
+    r_0: ArrayLike,
+    R_i: ArrayLike,
+    R_j: ArrayLike,
+) -> jax.Array:
     """Lennard-Jones repulsion of the distance ``r - r_0`` between centre and shell [energy] (Zhou &
     Schmid 2015, eq. 5).
 
@@ -43,7 +53,7 @@ def shifted_repulsion(h, *, epsilon, sigma, r_0, R_i, R_j):
 @projected(FULL)
 @reaches(lambda *, r_c: r_c)
 @bounded(gamma_cs="not negative", r_c="positive")
-def surface_drag(h, *, gamma_cs, r_c):
+def surface_drag(h: ArrayLike, *, gamma_cs: ArrayLike, r_c: ArrayLike) -> jax.Array:
     """Friction ``gamma_cs (1 - |h|/r_c)^2`` of a solvent bead and the surface next to it (Zhou &
     Schmid 2015, eq. 12).
 

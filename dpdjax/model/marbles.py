@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 
 from dpdjax.checks import not_negative, positive
 from dpdjax.model import laws
@@ -15,7 +16,7 @@ from dpdjax.model.term import Term, several, term
 
 def marble_fluid(
     *,
-    kT=1.0,
+    kT: ArrayLike = 1.0,
     gamma=5.0,
     gamma_cs=5.0,
     coupling: str = FULL,

@@ -9,6 +9,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete
 from dpdjax.model.fluid import Fluid, Interaction
@@ -40,7 +41,7 @@ def over(number: float, rate: float) -> float:
     return number / rate if rate > 0 else math.inf
 
 
-def damping_rate(fluid: Fluid, density) -> float:
+def damping_rate(fluid: Fluid, density: ArrayLike) -> float:
     """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times
     the integral of zeta [1/time].
 

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, number, positive
 from dpdjax.model import summary
@@ -85,7 +86,7 @@ class Whole:
         return structure, tuple(shapes)
 
 
-def whole(value, *, batch: bool = False) -> Whole:
+def whole(value: ArrayLike, *, batch: bool = False) -> Whole:
     """A coefficient of any shape, for a law that takes arrays: values at knots, the weights of a
     network.
 
@@ -170,7 +171,7 @@ class Term:
 def term(
     law: Callable,
     *,
-    reach=None,
+    reach: ArrayLike | Callable | None = None,
     origin: str | None = None,
     projector: str | None = None,
     **coefficients,

@@ -7,6 +7,9 @@ has both the mass and the energy of the real liquid.
 
 import dataclasses
 import math
+from typing import Any
+
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, positive
 from dpdjax.model.fluid import Fluid, fluid
@@ -87,12 +90,12 @@ class Units:
         length, mass, time = DIMENSIONS[dimension]
         return self.length**length * self.mass**mass * self.time**time
 
-    def to_si(self, value, dimension: str):
+    def to_si(self, value: ArrayLike, dimension: str) -> Any:
         """A number, array or ``Estimate`` in DPD units as SI, ``to_si(0.85, "viscosity")`` [Pa
         s]."""
         return _times(value, self.scale(dimension))
 
-    def from_si(self, value, dimension: str):
+    def from_si(self, value: ArrayLike, dimension: str) -> Any:
         """A number, array or ``Estimate`` in SI as DPD units, ``from_si(1e-3, "viscosity")``."""
         return _times(value, 1.0 / self.scale(dimension))
 
@@ -182,7 +185,14 @@ def water_units(
     return Units(length, mass, seconds, NOTES[time])
 
 
-def water(*, a=None, gamma=4.5, kT=1.0, r_c=1.0, mass=1.0) -> Fluid:
+def water(
+    *,
+    a: ArrayLike | None = None,
+    gamma: ArrayLike = 4.5,
+    kT: ArrayLike = 1.0,
+    r_c: ArrayLike = 1.0,
+    mass: ArrayLike = 1.0,
+) -> Fluid:
     """The standard DPD fluid, to be used at a density of 3 beads per ``r_c^3``.
 
     Groot & Warren (1997). Its sizes in SI: :func:`water_units`.
@@ -205,7 +215,9 @@ def water(*, a=None, gamma=4.5, kT=1.0, r_c=1.0, mass=1.0) -> Fluid:
     return fluid(conservative=[conservative], drag=[drag], kT=kT, mass=mass)
 
 
-def repulsion_from_compressibility(inverse_compressibility, kT=1.0, density=3.0):
+def repulsion_from_compressibility(
+    inverse_compressibility: ArrayLike, kT: ArrayLike = 1.0, density: ArrayLike = 3.0
+) -> Any:
     """The repulsion ``a = kT (1/kappa - 1) / (0.2 density)`` [energy / length], for r_c = 1.
 
     Groot & Warren (1997), a fit that holds for density above 2. ``1/kappa`` is

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import positive
 
@@ -28,14 +29,14 @@ class Box:
     strain: Any
 
     @property
-    def volume(self):
+    def volume(self) -> jax.Array:
         return self.lengths[0] * self.lengths[1] * self.lengths[2]
 
-    def strained(self, increment) -> "Box":
+    def strained(self, increment: ArrayLike) -> "Box":
         """The box after a further shear strain."""
         return Box(self.lengths, self.strain + increment).folded()[0]
 
-    def folded(self):
+    def folded(self) -> tuple["Box", jax.Array]:
         """The same lattice, with its strain within half a period ``Lx/Ly`` of zero, and how many
         periods were taken off."""
         period = self.lengths[0] / self.lengths[1]
@@ -63,7 +64,7 @@ def minimum_image(box: Box, dx, dy, dz):
     return dx - lx * jnp.round(dx / lx), dy - ly * rows, dz - lz * jnp.round(dz / lz)
 
 
-def displacement(box: Box, ra, rb):
+def displacement(box: Box, ra: jax.Array, rb: jax.Array) -> jax.Array:
     """Nearest-image separation ``ra - rb`` of Cartesian positions (..., 3) [length]."""
     d = ra - rb
     return jnp.stack(minimum_image(box, d[..., 0], d[..., 1], d[..., 2]), axis=-1)

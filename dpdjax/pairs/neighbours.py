@@ -23,6 +23,8 @@ from dpdjax.xla import where_needed
 
 FINENESS = 4
 """Cells along x per list radius: finer cells fit the ranges closer to what is within it."""
+IN_CELLS = 200
+"""Beads of the larger group from which cells are worth it."""
 FEW = 64
 """Beads of the smaller group up to which all pairs are tried: sorting the larger one costs more
 (measured: tests/benchmarks)."""
@@ -130,7 +132,7 @@ def plan_grid(
     )
     all_pairs = dataclasses.replace(all_pairs, capacity=capacity)
     shape = np.floor(boxes.narrowest(lengths, sheared) / list_radius * (1 + 1e-6)).astype(int)
-    if np.any(shape < 3) or many < 200 or few <= FEW:
+    if np.any(shape < 3) or many < IN_CELLS or few <= FEW:
         return all_pairs
     # More rows than the beads fill cost more to index than they save.
     most = max(3, int(np.cbrt(many / 2)) + 1)

@@ -2,8 +2,11 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 
+import jax
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import positive, prng_key
 from dpdjax.engine.state import State
@@ -91,16 +94,16 @@ class Marbles:
 
 
 def marbles(
-    key,
+    key: jax.Array,
     *,
-    box,
+    box: ArrayLike,
     count: int = 1,
-    radius=None,
-    density=None,
-    skin=None,
-    dt=None,
+    radius: float | None = None,
+    density: float | None = None,
+    skin: float | None = None,
+    dt: float | None = None,
     sheared: bool = False,
-    report=print,
+    report: Callable[[str], None] | None = print,
     **numbers,
 ) -> Marbles:
     """Large spheres that rotate in a solvent, placed at random.

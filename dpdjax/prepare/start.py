@@ -1,8 +1,11 @@
 """Beads to start from: placed at random or on a lattice, with Maxwell velocities."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, not_negative, positive, prng_key
 from dpdjax.engine import soundness
@@ -25,13 +28,13 @@ LEAST_SKIN = 0.05
 
 def initial_state(
     fluid: Fluid,
-    key,
+    key: jax.Array,
     *,
-    box,
-    density=None,
-    n=None,
+    box: ArrayLike,
+    density: ArrayLike | None = None,
+    n: int | Sequence[int] | None = None,
     start: str = "random",
-    fractions=None,
+    fractions: Sequence[float] | None = None,
     skin: float | None = None,
     dt: float | None = None,
     sheared: bool = True,

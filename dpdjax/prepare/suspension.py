@@ -2,9 +2,11 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import jax
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.checks import positive, prng_key
 from dpdjax.engine.state import State
@@ -99,18 +101,18 @@ class Suspension:
 
 
 def suspension(
-    key,
+    key: jax.Array,
     *,
     phi: float,
-    box=None,
+    box: ArrayLike | None = None,
     colloids: int | None = None,
-    radius=None,
+    radius: ArrayLike = None,
     spread: float = 0.0,
     density: float | None = None,
     skin: float | None = None,
     dt: float | None = None,
     sheared: bool = True,
-    report=print,
+    report: Callable[[str], None] | None = print,
     **numbers,
 ) -> Suspension:
     """Colloids at a volume fraction in a solvent, placed at random.
