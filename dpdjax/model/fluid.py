@@ -451,7 +451,7 @@ def _masses(mass, species):
 
 
 def _of_each(values, species, name) -> tuple:
-    """Of each species None or its number."""
+    """A tuple with one entry for each species: its number, or None where it has none."""
     each = tuple(values) if isinstance(values, (tuple, list)) else (values,) * species
     return tuple(None if x is None else positive(x, name) for x in each)
 

@@ -1,6 +1,6 @@
 """All pairs within a distance, from sorted cells.
 
-SortedBeads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
+Beads are sorted by cell, x fastest and finest, so the half stencil of a bead is five
 contiguous ranges: what follows in its own row, and one range of each of four rows further up.
 Each row is stored between periodic images of its own ends, so a range is a stretch of memory: a
 window of it is read at once and tested, and the verdicts are packed into 32-bit words. Each slot
@@ -27,7 +27,7 @@ HALF = np.array([[0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]], np.int32)
 FULL = np.array([[y, z] for z in (-1, 0, 1) for y in (-1, 0, 1)], np.int32)
 BYTE, WORD = 8, 32
 BLOCK = 16_384
-"""SortedBeads whose pairs a CPU finds at a time (measured: tests/benchmarks)."""
+"""Beads whose pairs a CPU finds at a time (measured: tests/benchmarks)."""
 MARGIN = 1.05
 """Room for the pairs of a block over its share of the list."""
 
@@ -92,7 +92,7 @@ def cell_pairs(grid, box: boxes.Box, position, ids=None):
 
 
 def block_size(n: int) -> int:
-    """SortedBeads of a block: shares of about ``BLOCK``, or all of them."""
+    """Beads of a block: shares of about ``BLOCK``, or all of them."""
     blocks = max(1, n // BLOCK) if on_cpu() else 1
     return n if blocks == 1 else min(n, rounded(n / blocks, 32))
 
@@ -152,7 +152,7 @@ def _rank(cell, cells: int, ids):
     def visit(carry):
         rounds, left, rank = carry
         lowest = jnp.full(cells, nobody, jnp.int32).at[cell].min(left)
-        # SortedBeads that had their round are left as nobody.
+        # Beads that had their round are left as nobody.
         taken = (lowest[cell] == left) & (left < nobody)
         return rounds + 1, jnp.where(taken, nobody, left), jnp.where(taken, rounds, rank)
 
@@ -176,7 +176,7 @@ class SortedBeads(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """SortedBeads in slots, row after row of cells, each row between images of its own ends.
+    """Beads in slots, row after row of cells, each row between images of its own ends.
 
     A range of cells is then a range of slots, at the ends of the rows too.
 
