@@ -21,14 +21,16 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
+from small import SIDE, SKIN, equilibrator  # noqa: E402
 
 import dpdjax as dpd  # noqa: E402
+from dpdjax.pairs import neighbours  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-
-SIDE, SKIN = 4.2, 0.2
-"""The smallest box whose lists come from cells at every tilt: 222 beads."""
+# Cells are half of what a program takes to compile. What they find is tested in tests/pairs, whose
+# states have them; elsewhere all pairs are tried, which gives the same lists.
+neighbours.IN_CELLS = 1000
 
 
 @pytest.fixture(scope="session")
@@ -79,13 +81,7 @@ def fresh(water, key):
 @pytest.fixture(scope="session")
 def equilibrated(simulate, fresh, key, long):
     """A maker of small states: ``equilibrated(fluid, flow=None)``."""
-
-    def equilibrate(fluid, flow=None):
-        run = simulate(fluid, fresh, key, 0.01, long, flow)
-        assert run.final.status == 0
-        return run.final
-
-    return equilibrate
+    return equilibrator(simulate, fresh, key, long)
 
 
 @pytest.fixture(scope="session")

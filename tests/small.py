@@ -1,0 +1,29 @@
+"""Small states that many tests start from, and lists of them that are made through cells."""
+
+import contextlib
+
+from dpdjax.pairs import neighbours
+
+SIDE, SKIN = 4.2, 0.2
+"""The smallest box whose lists can come from cells at every tilt: 222 beads."""
+
+
+def equilibrator(simulate, fresh, key, plan):
+    """A maker of states after a plan of steps: ``equilibrate(fluid, flow=None)``."""
+
+    def equilibrate(fluid, flow=None):
+        run = simulate(fluid, fresh, key, 0.01, plan, flow)
+        assert run.final.status == 0
+        return run.final
+
+    return equilibrate
+
+
+@contextlib.contextmanager
+def lists_from_cells(count=200):
+    """Within it lists of so many beads are planned through cells, as they are outside the tests."""
+    before, neighbours.IN_CELLS = neighbours.IN_CELLS, count
+    try:
+        yield
+    finally:
+        neighbours.IN_CELLS = before
