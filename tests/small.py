@@ -1,6 +1,7 @@
 """Small states that many tests start from, and lists of them that are made through cells."""
 
 import contextlib
+import dataclasses
 
 from dpdjax.pairs import neighbours
 
@@ -27,3 +28,18 @@ def lists_from_cells(count=200):
         yield
     finally:
         neighbours.IN_CELLS = before
+
+
+def with_cells(state):
+    """The same beads with lists from cells wherever these are planned."""
+
+    def planned(held):
+        old = held.grid
+        with lists_from_cells():
+            new = neighbours.plan_grid(
+                old.groups, state.box.lengths, old.reach, old.skin, old.sheared
+            )
+        new = dataclasses.replace(new, capacity=max(old.capacity, new.capacity))
+        return neighbours.allocate(new, state.box, state.position)
+
+    return dataclasses.replace(state, neighbours=tuple(map(planned, state.neighbours)))

@@ -33,7 +33,7 @@ def forces_on(
     state: State,
     velocity: jax.Array,
     key: jax.Array,
-    tally: bool | jax.Array,
+    tally: bool,
     kinds: tuple[str, ...] = EVERYTHING,
 ) -> Forces:
     """All forces at the state's positions, with drag from ``velocity`` (n, 3) and from the angular
@@ -42,24 +42,17 @@ def forces_on(
     Args:
         system, state, key: what moves, where, and what keys the noise of ``state.step``.
         velocity: peculiar velocities (n, 3).
-        tally: whether to keep the sums over pairs, known or not; without them those of the state
-            stay.
+        tally: keep the sums over pairs (static); without them those of the state stay.
         kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
             but drag do not depend on the velocity.
     """
     rate = system.flow.rate_at(state.time)
-
-    def between_pairs(tally: bool) -> Forces:
-        total = pair_force(system.fluid, state, velocity, rate, key, system.dt, tally, kinds)
-        return total if tally else total._replace(tally=state.tally)
-
     with jax.named_scope("forces"):
-        if isinstance(tally, bool):
-            total = between_pairs(tally)
-        else:
-            total = jax.lax.cond(tally, lambda: between_pairs(True), lambda: between_pairs(False))
+        total = pair_force(system.fluid, state, velocity, rate, key, system.dt, tally, kinds)
         # Whatever else acts, as bonds would, is another part, and adds up here.
-        return total.plus(_driven(system, state)) if DRIVEN in kinds else total
+        if DRIVEN in kinds:
+            total = total.plus(_driven(system, state))
+    return total if tally else total._replace(tally=state.tally)
 
 
 def _driven(system, state: State) -> Forces:

@@ -28,9 +28,9 @@ class Integrator(Part):
     :func:`settled` are the parts.
     """
 
-    def step(self, system, state: State, key: jax.Array, tally: bool | jax.Array) -> State:
-        """The state a step of ``system.dt`` later, its force known; ``tally``, for
-        :func:`forces_on`: whether with the sums over pairs."""
+    def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
+        """The state a step of ``system.dt`` later, its force known; ``tally`` (static): with the
+        sums over pairs."""
         raise NotImplementedError(f"{type(self).__name__} has no step(system, state, key, tally)")
 
     def start(self, system, state: State, key: jax.Array) -> State:
@@ -77,7 +77,7 @@ class VelocityVerlet(Integrator):
 
     lam: Any = 0.5
 
-    def step(self, system, state: State, key: jax.Array, tally: bool | jax.Array) -> State:
+    def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
         moved, drift = drifted(system, state, self.lam)
         forces = forces_on(system, moved, drift.predicted(self.lam), key, tally)
         return settled(system, state, moved, drift, forces)

@@ -19,7 +19,6 @@ from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
 from dpdjax.model.fluid import Fluid
 from dpdjax.pairs.sums import Forces
-from dpdjax.xla import on_cpu
 
 
 def simulate(
@@ -41,11 +40,11 @@ def simulate(
         key: PRNG key; the noise of step s is a function of (key, s), s counted absolutely.
         dt: time step [time].
         plan: frames, and steps between two.
-        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.flows.body_force(...)``,
+        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.body_force(...)``,
             ``dpd.drive(...)`` or None.
         observe: what to record: a function ``observe(fluid, state) -> dict``, or a list of
             such, each possibly wrapped in ``dpd.mean`` or ``dpd.integral``.
-        integrator: how beads move on in time; by default ``dpd.integrators.VelocityVerlet()``.
+        integrator: how beads move on in time; by default ``dpd.VelocityVerlet()``.
         remat: in reverse mode keep only the state of each frame and recompute the steps
             between. That is fastest for ``every`` below 10, whose steps stay in a CPU's cache;
             memory is least for ``every`` near ``sqrt(steps)``.
@@ -74,13 +73,7 @@ def _judged(state: State, trouble) -> State:
 
 
 def advance(
-    system: System,
-    state: State,
-    key,
-    plan: Plan,
-    how,
-    remat: bool = False,
-    trips=None,
+    system: System, state: State, key, plan: Plan, how, remat: bool = False, trips=None
 ) -> Trajectory:
     """:func:`simulate` with recorders ``how``, without checks and without the poison.
 
@@ -114,15 +107,15 @@ def advance(
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
     if trips is None:
-        body = jax.checkpoint(frame) if remat else frame
-        final, frames = jax.lax.scan(body, state, length=plan.frames)
+        turn = jax.checkpoint(frame) if remat else frame
+        final, frames = jax.lax.scan(turn, state, length=plan.frames)
     else:
-        final, frames = scanned(frame, state, plan.frames, trips[0])
+        final, frames = collected(frame, state, plan.frames, trips[0])
     final = _judged(final, list_trouble(fluid, final))
     return Trajectory(seen(final), frames, system, plan.every, means=averaged(how, fluid, state))
 
 
-def scanned(frame, state, room: int, count):
+def collected(frame, state, room: int, count):
     """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program; the frames beyond
     it, up to ``room``, are 0."""
     shapes = jax.eval_shape(frame, state, None)[1]
@@ -145,8 +138,7 @@ def repeated(body, carry, times):
 
 
 def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen):
-    """``every`` steps, the last with its pair sums, ``each`` (static) with them, and the sums of
-    what accumulates.
+    """``every`` steps, the last with its pair sums, and the sums of what accumulates.
 
     Recorders get ``seen(state)``: the beads in the caller's order.
     """
@@ -155,19 +147,15 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
         view = seen(state)
         return [r.add(s, fluid, view) for r, s in zip(how, sums)]
 
-    def body(carry, tally):
+    def body(carry):
         state, sums = carry
-        state = one(state, tally)
+        state = one(state, each)
         return state, add(sums, state)
 
-    carry = state, [r.zero(fluid, state) for r in how]
-    if not isinstance(every, int) and on_cpu():
-        # One step in the program, with a branch inside: it is half as long to compile. Elsewhere a
-        # branch has to wait for its predicate, and reverse mode keeps what either side would.
-        last = lambda k: each or k == every - 1
-        return jax.lax.fori_loop(0, every, lambda k, carry: body(carry, last(k)), carry)
-    carry = repeated(lambda carry: body(carry, each), carry, every - 1)
-    return body(carry, True)
+    zeros = [r.zero(fluid, state) for r in how]
+    state, sums = repeated(body, (state, zeros), every - 1)
+    state = one(state, True)
+    return state, add(sums, state)
 
 
 def step(

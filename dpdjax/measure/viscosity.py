@@ -28,6 +28,7 @@ from dpdjax.engine.observables import (
     momentum,
     pressure_tensor,
     standard,
+    stresses,
     temperature,
 )
 from dpdjax.engine.record import Recorder, integral, mean
@@ -91,7 +92,7 @@ def _block_means(series, blocks):
 
 
 def _sheared(fluid, state) -> dict:
-    return standard(fluid, state) | {"pressure_random": pressure_tensor(fluid, state, (RANDOM,))}
+    return standard(fluid, state) | {"pressure_random": stresses(fluid, state)["pressure_random"]}
 
 
 shear_record = mean(_sheared)

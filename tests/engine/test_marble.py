@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from marble import COUPLINGS, DT, FLOW, FORTY, rub
+from small import with_cells
 
 import dpdjax as dpd
 from dpdjax.engine import order
@@ -43,6 +44,8 @@ def test_chunks_capacity_and_files_are_bitwise_invisible(run, settled_marbles, t
 
 
 def test_sorting_marbles_is_bitwise_invisible(monkeypatch, marbled, settled_marbles, key):
+    settled_marbles = with_cells(settled_marbles)
+
     def go(smallest):
         monkeypatch.setattr(order, "SMALLEST", smallest)
         monkeypatch.setattr(order, "LASTS", 3)

@@ -237,7 +237,7 @@ def test_the_reaction_on_the_others_is_corrected_for():
 
 def test_driven_rotation_is_angular_velocity_over_torque():
     found = dpd.measure.driven_rotation(drifting(5.0, dpd.drive(torque=(300.0, 0.0, 0.0))))
-    assert found.diffusion.deviation(2.0 * 5.0 / 300.0) < 3.5 and found.turns
+    assert found.diffusion.deviation(2.0 * 5.0 / 300.0) < 3.5 and found.is_torque
     assert found.reynolds(density=3.0, viscosity=1.5, radius=2.0) == pytest.approx(
         6.0 * 2.0 * found.velocity.value * 2.0 / 3.0
     )

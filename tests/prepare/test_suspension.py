@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small import with_cells
 
 import dpdjax as dpd
 from dpdjax.engine import order
@@ -202,6 +203,7 @@ def test_sorting_groups_is_bitwise_invisible(monkeypatch, suspended, settled, ke
             state
         ).final
 
+    settled = with_cells(settled)
     monkeypatch.setattr(order, "SMALLEST", 20)
     first = order.in_cell_order(settled)
     assert not jnp.array_equal(first.id[: suspended.solvents], settled.id[: suspended.solvents])
