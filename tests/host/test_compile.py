@@ -153,12 +153,12 @@ def test_slopes_in_several_parameters_are_one_program(water, fresh, key):
     state = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), fresh)
     goal = viscosity_goal(0.85, 0.3)
     told = []
-    bench = experiment.Bench(
+    ensemble = experiment.Ensemble(
         water, goal, 3.0, state, jax.random.split(key, 2), 0.01, report=told.append
     )
     before = experiment._tangent._cache_size()
     for k in (0, 1):
-        both = experiment.window_tangents(bench, water, ("gamma", "a"), k, 0.01, dpd.Plan(2, 3))
+        both = experiment.window_tangents(ensemble, water, ("gamma", "a"), k, 0.01, dpd.Plan(2, 3))
         assert np.all(np.isfinite(both)) and both.shape == (2, 2)
     assert experiment._tangent._cache_size() == before + 1
     assert told == ["compiling"]
