@@ -3,11 +3,13 @@
 from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
 from dpdjax.engine.integrator import Drift, Integrator, VelocityVerlet, drifted, settled
 from dpdjax.model.beads import inertias, masses
+from dpdjax.pairs.sums import Forces
 
 __all__ = [
     "Drift",
     "drifted",
     "EVERYTHING",
+    "Forces",
     "forces_on",
     "inertias",
     "Integrator",

@@ -35,7 +35,7 @@ SMALLER = {
     "Plan(20000, 1)": "Plan(200, 1)",
     "window=1.0": "window=0.1",
     "Plan(100, 100)": "Plan(4, 5)",
-    "dpd.Plan(50, 20), [dpd": "dpd.Plan(4, 2), [dpd",
+    "dpd.Plan(50, 20), ": "dpd.Plan(4, 2), ",
     "n=[4800, 60]": "n=[600, 9]",
     "Plan(10, 500)": "Plan(12, 2)",
     "box=10.0, gamma_cs=5.0": "box=6.0, radius=1.0, gamma_cs=5.0",

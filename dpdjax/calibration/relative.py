@@ -26,7 +26,7 @@ def relative_viscosity(
     Colloids displace less solvent than their volume, so the solvent between them is thinner than
     planned, and its viscosity another. Its density is read off the last state of each replica, a
     snapshot, whose scatter is not in the error: where that matters, average
-    :func:`dpdjax.solvent_density` over many states, measure there and give ``solvent``.
+    :func:`dpdjax.measure.solvent_density` over many states, measure there and give ``solvent``.
 
     Args:
         trajectory: a run with ``flow=dpd.shear(rate)`` recorded with
@@ -36,8 +36,8 @@ def relative_viscosity(
         tolerance: of that measurement, relative; its standard error is a third.
         skip, blocks: as for :func:`dpdjax.shear_viscosity`.
 
-    Raises ValueError as :func:`dpdjax.shear_viscosity` and :func:`dpdjax.solvent_density` do,
-    TypeError without a key.
+    Raises ValueError as :func:`dpdjax.shear_viscosity` and :func:`dpdjax.measure.solvent_density`
+    do, TypeError without a key.
     """
     suspended = shear_viscosity(trajectory, skip=skip, blocks=blocks)
     if solvent is None:

@@ -69,14 +69,15 @@ def _check_answer(what: str, answer: Callable, shape, dtype, concrete: bool) -> 
         value = answer() if concrete else jax.eval_shape(answer)
     except (TypeError, ValueError, AttributeError) as error:
         raise type(error)(
-            f"the {what} fails on one state, with the numbers of one member: {error}"
+            f"the {what} fails on one state, with the numbers of one member: {error}. Numbers of a "
+            "batch are declared, ranks = {{'name': axes of one member}}"
         ) from error
     if value is None:
         return
     if jnp.shape(value) != shape:
         raise ValueError(
-            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch need "
-            "batch_axes() to say so"
+            f"the {what} has shape {jnp.shape(value)}; {shape} is wanted. Numbers of a batch are "
+            "declared, ranks = {'name': axes of one member}"
         )
     if jnp.result_type(value, dtype) != dtype:
         raise TypeError(

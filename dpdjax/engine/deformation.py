@@ -119,7 +119,7 @@ def oscillatory_shear(amplitude: ArrayLike, frequency: ArrayLike) -> Oscillation
     boundaries.
 
     The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to
-    wait for. ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.moduli`.
+    wait for. ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.measure.moduli`.
     """
     return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
 

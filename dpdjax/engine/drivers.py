@@ -33,7 +33,11 @@ class Driver(Part):
         check_answers(self, state, answers)
 
     def force(self, state: State, mass: jax.Array) -> jax.Array | None:
-        """Force on each bead (n, 3), or None; ``mass`` is (n, 1)."""
+        """Force on each bead (n, 3), or None; ``mass`` is (n, 1).
+
+        A net force is not taken off, as those of ``dpd.flows.body_force`` and ``dpd.drive`` are: it
+        sets the whole in motion.
+        """
         return None
 
     def torque(self, state: State) -> jax.Array | None:
@@ -146,7 +150,7 @@ def drive(
 
     Momentum stays as it is: every bead, or every other one, feels a force in proportion to its mass
     that makes up for the sum. Nothing makes up for the torque. Measure with
-    :func:`dpdjax.driven_diffusion` and :func:`dpdjax.driven_rotation`.
+    :func:`dpdjax.measure.driven_diffusion` and :func:`dpdjax.measure.driven_rotation`.
 
     Args:
         force: on each driven bead, along x or a vector (3,) [force].

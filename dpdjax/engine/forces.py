@@ -42,17 +42,19 @@ def forces_on(
     Args:
         system, state, key: what moves, where, and what keys the noise of ``state.step``.
         velocity: peculiar velocities (n, 3).
-        tally: keep the sums over pairs (static); without them those of the state stay.
+        tally: whether with the sums over pairs (static); without, they are None.
         kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
             but drag do not depend on the velocity.
+
+    Returns :class:`Forces`; those of two kinds are added by ``+``.
     """
     rate = system.flow.rate_at(state.time)
     with jax.named_scope("forces"):
         total = pair_force(system.fluid, state, velocity, rate, key, system.dt, tally, kinds)
         # Whatever else acts, as bonds would, is another part, and adds up here.
         if DRIVEN in kinds:
-            total = total.plus(_driven(system, state))
-    return total if tally else total._replace(tally=state.tally)
+            total = total + _driven(system, state)
+    return total
 
 
 def _driven(system, state: State) -> Forces:

@@ -78,6 +78,7 @@ class VelocityVerlet(Integrator):
     lam: Any = 0.5
 
     def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
+        """One step, by the three parts."""
         moved, drift = drifted(system, state, self.lam)
         forces = forces_on(system, moved, drift.predicted(self.lam), key, tally)
         return settled(system, state, moved, drift, forces)
@@ -85,6 +86,8 @@ class VelocityVerlet(Integrator):
 
 class Drift(NamedTuple):
     """What a step knows once beads have moved and before new forces act, by component (3, n).
+
+    ``predicted(lam)`` is ``(carried + lam kick).T``, (n, 3) as :func:`forces_on` takes it.
 
     Attributes:
         carried: peculiar velocities, less what the flow gains where beads have moved to.
@@ -136,11 +139,11 @@ def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -
 
 
 def with_forces(state: State, forces: Forces) -> State:
-    """The state with these forces as its last."""
-    rotation = state.rotation
+    """The state with these forces as its last; sums over pairs that they lack stay as they were."""
+    rotation, tally = state.rotation, state.tally if forces.tally is None else forces.tally
     if rotation is not None:
         rotation = dataclasses.replace(rotation, torque=forces.torque)
-    return dataclasses.replace(state, force=forces.force, tally=forces.tally, rotation=rotation)
+    return dataclasses.replace(state, force=forces.force, tally=tally, rotation=rotation)
 
 
 def rotation_drifted(fluid, state: State, dt, lam):

@@ -40,11 +40,11 @@ def simulate(
         key: PRNG key; the noise of step s is a function of (key, s), s counted absolutely.
         dt: time step [time].
         plan: frames, and steps between two.
-        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.body_force(...)``,
+        flow: ``dpd.shear(rate)``, ``dpd.oscillatory_shear(...)``, ``dpd.flows.body_force(...)``,
             ``dpd.drive(...)`` or None.
         observe: what to record: a function ``observe(fluid, state) -> dict``, or a list of
             such, each possibly wrapped in ``dpd.mean`` or ``dpd.integral``.
-        integrator: how beads move on in time; by default ``dpd.VelocityVerlet()``.
+        integrator: how beads move on in time; by default ``dpd.integrators.VelocityVerlet()``.
         remat: in reverse mode keep only the state of each frame and recompute the steps
             between. That is fastest for ``every`` below 10, whose steps stay in a CPU's cache;
             memory is least for ``every`` near ``sqrt(steps)``.
@@ -107,15 +107,15 @@ def advance(
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
     if trips is None:
-        turn = jax.checkpoint(frame) if remat else frame
-        final, frames = jax.lax.scan(turn, state, length=plan.frames)
+        body = jax.checkpoint(frame) if remat else frame
+        final, frames = jax.lax.scan(body, state, length=plan.frames)
     else:
-        final, frames = collected(frame, state, plan.frames, trips[0])
+        final, frames = scanned(frame, state, plan.frames, trips[0])
     final = _judged(final, list_trouble(fluid, final))
     return Trajectory(seen(final), frames, system, plan.every, means=averaged(how, fluid, state))
 
 
-def collected(frame, state, room: int, count):
+def scanned(frame, state, room: int, count):
     """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program; the frames beyond
     it, up to ``room``, are 0."""
     shapes = jax.eval_shape(frame, state, None)[1]

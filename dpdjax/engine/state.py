@@ -30,7 +30,7 @@ class State:
     """One configuration of n beads.
 
     Attributes:
-        position: wrapped Cartesian positions (n, 3) [length].
+        position: wrapped Cartesian positions (n, 3), 0 to the side along each axis [length].
         velocity: peculiar velocities, the streaming velocity taken off, (n, 3).
         force: force of the last step, on which the next half kick depends, (n, 3).
         image: vectors of the lattice, as it is now, that each bead was carried over since the

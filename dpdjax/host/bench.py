@@ -48,7 +48,7 @@ def bench(
         dt: time step [time].
         density: beads per volume.
         batch: boxes side by side.
-        skin: margin of the lists [length]; by default :func:`dpdjax.suggest_skin`.
+        skin: margin of the lists [length]; by default :func:`dpdjax.theory.suggest_skin`.
         steps: steps of one timed run, even; by default 200, fewer in large boxes.
         repeats: timed runs; medians are returned.
         tangent: time the forward derivative with respect to gamma too.

@@ -32,5 +32,5 @@ def pair_force(
         words = Words.of(key, state.step, channel, beads.id, not interaction.is_central)
         moment = Moment(state.box, rate, dt, words)
         kernel, idx = neighbours.grid.kernel, neighbours.list.idx
-        total = total.plus(kernel(fluid, interaction, beads, idx, moment, wanted))
+        total = total + kernel(fluid, interaction, beads, idx, moment, wanted)
     return total

@@ -31,6 +31,9 @@ class Tally:
     def zero(cls, dtype, origins=ORIGINS) -> "Tally":
         return cls(jnp.zeros((), dtype), {origin: jnp.zeros((3, 3), dtype) for origin in origins})
 
+    def __add__(self, more: "Tally") -> "Tally":
+        return self.plus(more.energy, more.virial)
+
     def plus(self, energy, virial: dict) -> "Tally":
         """With the sums of more pairs, whose virials may be of some of the origins only."""
         return Tally(
@@ -46,13 +49,12 @@ class Forces(NamedTuple):
     torque: Any
     tally: Tally | None
 
-    def plus(self, more: "Forces") -> "Forces":
-        """With what acts beside it: other pairs, bonds, drivers."""
-        both = lambda old, new: old if new is None else old + new
-        tally = self.tally
-        if more.tally is not None:
-            tally = tally.plus(more.tally.energy, more.tally.virial)
-        return Forces(both(self.force, more.force), both(self.torque, more.torque), tally)
+    def __add__(self, more: "Forces") -> "Forces":
+        """Both together: of other kinds, other pairs, bonds, drivers."""
+        both = lambda mine, other: (
+            mine if other is None else other if mine is None else mine + other
+        )
+        return Forces(*(both(mine, other) for mine, other in zip(self, more)))
 
 
 def over_blocks(add, sums, idx, size: int, pad: int):

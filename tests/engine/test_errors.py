@@ -222,7 +222,7 @@ def test_a_flow_of_the_users_own_is_checked(water, fresh, key):
         dpd.simulate(water, tilted, key, 0.01, PLAN)
     x = fresh.position
     wrong = [
-        (Own(jnp.ones(3)), ValueError, "the rate of Own has shape (3,)", "batch_axes()"),
+        (Own(jnp.ones(3)), ValueError, "the rate of Own has shape (3,)", "ranks = "),
         (Push(x[:, 0]), ValueError, "the force of Push has shape", "is wanted"),
         (Push(x.at[3].set(jnp.nan)), ValueError, "the force of Push is not finite"),
         (object.__new__(dpd.flows.Deformation), TypeError, "Deformation has no rate"),

@@ -32,10 +32,9 @@ class SelfConsistent(dpd.integrators.Integrator):
         mass, velocity = masses(system.fluid, state)[:, None], drift.predicted(0.5)
         for _ in range(self.rounds):
             drag = forces_on(system, moved, velocity, key, tally, (DRAG,))
-            force = first.force + drag.force
-            velocity = (drift.carried + 0.5 * drift.kick).T + 0.5 * system.dt * force / mass
-        tally = first.tally.plus(drag.tally.energy, drag.tally.virial) if tally else state.tally
-        return settled(system, state, moved, drift, first._replace(force=force, tally=tally))
+            total = first + drag
+            velocity = (drift.carried + 0.5 * drift.kick).T + 0.5 * system.dt * total.force / mass
+        return settled(system, state, moved, drift, total)
 
 
 def test_kinds_of_force_add_up(water, sheared_water, key):
@@ -46,7 +45,7 @@ def test_kinds_of_force_add_up(water, sheared_water, key):
     rest = forces_on(system, state, state.velocity, key, True, still)
     drag = forces_on(system, state, state.velocity, key, True, (DRAG,))
     np.testing.assert_allclose(rest.force + drag.force, whole.force, atol=1e-9)
-    virial = rest.tally.plus(drag.tally.energy, drag.tally.virial).virial
+    virial = (rest + drag).tally.virial
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), virial, whole.tally.virial
     )
