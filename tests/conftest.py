@@ -21,7 +21,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
-from small import SIDE, SKIN, equilibrator  # noqa: E402
+from small import SIDE, SKIN, equilibrated, quiet_water, sheared_water  # noqa: E402, F401
 
 import dpdjax as dpd  # noqa: E402
 from dpdjax.pairs import neighbours  # noqa: E402
@@ -76,23 +76,6 @@ def ten():
 def fresh(water, key):
     """Random beads of water, no step run."""
     return dpd.initial_state(water, key, box=SIDE, density=3.0, skin=SKIN)
-
-
-@pytest.fixture(scope="session")
-def equilibrated(simulate, fresh, key, long):
-    """A maker of small states: ``equilibrated(fluid, flow=None)``."""
-    return equilibrator(simulate, fresh, key, long)
-
-
-@pytest.fixture(scope="session")
-def quiet_water(equilibrated, water):
-    return equilibrated(water)
-
-
-@pytest.fixture(scope="session")
-def sheared_water(equilibrated, water):
-    """Water sheared at rate 1, the box at strain 2 (wrapped twice)."""
-    return equilibrated(water, dpd.shear(1.0))
 
 
 MOST_MAPPINGS = 30_000

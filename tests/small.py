@@ -1,23 +1,39 @@
-"""Small states that many tests start from, and lists of them that are made through cells."""
+"""Small states that many tests start from, whichever ``fresh`` one a room begins with, and lists of
+them that are made through cells."""
 
 import contextlib
 import dataclasses
 
+import pytest
+
+import dpdjax as dpd
 from dpdjax.pairs import neighbours
 
 SIDE, SKIN = 4.2, 0.2
 """The smallest box whose lists can come from cells at every tilt: 222 beads."""
 
 
-def equilibrator(simulate, fresh, key, plan):
-    """A maker of states after a plan of steps: ``equilibrate(fluid, flow=None)``."""
+@pytest.fixture(scope="session")
+def equilibrated(simulate, fresh, key, long):
+    """A maker of small states: ``equilibrated(fluid, flow=None)``."""
 
     def equilibrate(fluid, flow=None):
-        run = simulate(fluid, fresh, key, 0.01, plan, flow)
+        run = simulate(fluid, fresh, key, 0.01, long, flow)
         assert run.final.status == 0
         return run.final
 
     return equilibrate
+
+
+@pytest.fixture(scope="session")
+def quiet_water(equilibrated, water):
+    return equilibrated(water)
+
+
+@pytest.fixture(scope="session")
+def sheared_water(equilibrated, water):
+    """Water sheared at rate 1, the box at strain 2 (wrapped twice)."""
+    return equilibrated(water, dpd.shear(1.0))
 
 
 @contextlib.contextmanager

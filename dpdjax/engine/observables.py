@@ -16,12 +16,12 @@ from dpdjax.model.fluid import Fluid
 from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
 from dpdjax.pairs.forces import interactions_of
 from dpdjax.pairs.geometry import Columns, Moment, geometry
-from dpdjax.pairs.laws import evaluate
+from dpdjax.pairs.laws import CONSERVATIVE, DRAG, RANDOM, evaluate
 from dpdjax.pairs.sums import sum_onto_beads
 
-KINETIC, RANDOM = "kinetic", "random"
-STATIC = (KINETIC, "conservative")
-SMOOTH = (*STATIC, "drag")
+KINETIC = "kinetic"
+STATIC = (KINETIC, CONSERVATIVE)
+SMOOTH = (*STATIC, DRAG)
 """Parts of the pressure: what it is in equilibrium; and all but the random one, which has mean zero
 and is only noise."""
 

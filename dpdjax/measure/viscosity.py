@@ -21,7 +21,6 @@ import numpy as np
 
 from dpdjax.engine.drivers import Wave
 from dpdjax.engine.observables import (
-    RANDOM,
     SMOOTH,
     STATIC,
     instantaneous_viscosity,
@@ -38,6 +37,7 @@ from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.model.fluid import Fluid
+from dpdjax.pairs.laws import DRAG, RANDOM
 
 CLEARLY, LIKELY = 3.0, 0.5
 """Standard errors at which something is there, and the share of an error above which it is told of.
@@ -103,7 +103,7 @@ random stress."""
 def green_kubo_record(fluid: Fluid, state: State) -> dict:
     """What :func:`green_kubo` needs of each frame."""
     smooth = pressure_tensor(fluid, state, STATIC)
-    drag = pressure_tensor(fluid, state, ("drag",))
+    drag = pressure_tensor(fluid, state, (DRAG,))
     return {
         "flux": smooth + drag,
         "reversed_flux": smooth - drag,

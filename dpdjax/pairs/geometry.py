@@ -95,7 +95,7 @@ def pair_geometry(
     i, j = jnp.minimum(idx[0], n - 1), jnp.minimum(idx[1], n - 1)
     dx, dy, dz = boxes.minimum_image(box, *(take(c, i) - take(c, j) for c in beads.position))
     square = dx * dx + dy * dy + dz * dz
-    # Columns at one place are a pair too. Zero is kept out of the root and its derivative.
+    # Beads at one place are a pair too. Zero is kept out of the root and its derivative.
     apart = square > 0
     inverse = jax.lax.rsqrt(jnp.where(apart, square, 1.0))
     somewhere = diagonal_of(words, square.dtype)

@@ -29,8 +29,8 @@ def scattered(
     fluid: Fluid, interaction: Interaction, beads: Columns, idx, moment: Moment, wanted: Wanted
 ) -> Forces:
     """The pairs ``idx`` (2, pairs) all at once, each component of a force added by itself."""
-    add = _adding(fluid, interaction, beads, moment, wanted)
-    return _total(add(_empty(fluid, beads, False), idx), interaction, beads, wanted)
+    add, nothing = _adding(fluid, interaction, beads, moment, wanted, paired=False)
+    return _total(*add(nothing, idx))
 
 
 def blocked(
@@ -38,54 +38,43 @@ def blocked(
 ) -> Forces:
     """As many pairs at a time as a CPU's cache holds, two components added as one complex
     number."""
-    add, start = _adding(fluid, interaction, beads, moment, wanted), _empty(fluid, beads, True)
+    add, nothing = _adding(fluid, interaction, beads, moment, wanted, paired=True)
     if idx.shape[1] < BLOCKED_FROM:
-        return _total(add(start, idx), interaction, beads, wanted)
-    found = sums.over_blocks(add, start, idx, BLOCK, beads.id.shape[0])
-    return _total(found, interaction, beads, wanted)
+        return _total(*add(nothing, idx))
+    return _total(*sums.over_blocks(add, nothing, idx, BLOCK, beads.id.shape[0]))
 
 
-def _empty(fluid, beads: Columns, paired: bool):
-    """Sums of no pairs: onto beads, of torques, over all."""
+def _adding(fluid, interaction, beads: Columns, moment: Moment, wanted: Wanted, paired: bool):
+    """``add(so_far, part)``, which adds the pairs ``part`` (2, pairs) to sums onto beads, of
+    torques and over all pairs, and these sums of no pairs; None for those that are not wanted."""
+    # Across the line of centres there is drag, and the noise that goes with it.
+    rubs = not interaction.is_central and bool({laws.DRAG, laws.RANDOM} & set(wanted.kinds))
     n, dtype = beads.id.shape[0], beads.position[0].dtype
-    m = 0 if beads.spin is None else len(beads.spin[0])
-    return (
+    turns = rubs and beads.spin is not None
+    nothing = (
         sums.net_zero(n, dtype, paired),
-        jnp.zeros((m, 3), dtype),
-        Tally.zero(dtype, fluid.origins),
+        jnp.zeros((len(beads.spin[0]), 3), dtype) if turns else None,
+        Tally.zero(dtype, fluid.origins) if wanted.tally else None,
     )
-
-
-def _adding(fluid, interaction, beads: Columns, moment: Moment, wanted: Wanted):
-    """``add(sums, part)``: the sums with those of the pairs ``part`` (2, pairs)."""
 
     def add(so_far, part):
         net, torque, totals = so_far
         pairs = geometry(fluid, interaction, beads, part, moment)
         energy, along = laws.central_forces(interaction, fluid.kT, pairs, moment, wanted)
         across = push = None
-        if _rubs(interaction, wanted):
+        if rubs:
             across = laws.transverse_forces(interaction, fluid.kT, pairs, moment, wanted)
             push = tuple(map(sum, zip(*across.values()))) if across else None
         net = sums.net_add(net, pairs, sum(along.values()), push)
-        if push is not None and beads.spin is not None:
+        if turns and push is not None:
             torque = sums.torque_add(torque, beads, pairs, push)
         if wanted.tally:
             totals = totals.plus(*sums.sum_pairs(pairs, energy, along))
             totals = totals.plus(0.0, sums.sum_across(pairs, across)) if across else totals
         return net, torque, totals
 
-    return add
+    return add, nothing
 
 
-def _rubs(interaction, wanted: Wanted) -> bool:
-    """Whether anything acts across the line of centres: drag, and the noise that goes with it."""
-    return not interaction.is_central and bool({laws.DRAG, laws.RANDOM} & set(wanted.kinds))
-
-
-def _total(found, interaction, beads: Columns, wanted: Wanted) -> Forces:
-    net, torque, totals = found
-    has_torque = beads.spin is not None and _rubs(interaction, wanted)
-    return Forces(
-        sums.net_force(net), torque if has_torque else None, totals if wanted.tally else None
-    )
+def _total(net, torque, totals) -> Forces:
+    return Forces(sums.net_force(net), torque, totals)
