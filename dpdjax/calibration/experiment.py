@@ -14,12 +14,12 @@ import numpy as np
 from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
-from dpdjax.engine.chunk import complete_lists, replayed, shape_of, trips_of
+from dpdjax.engine.chunk import begun, complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.compiling import is_new
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.refusals import check_dt
-from dpdjax.engine.simulate import advance
+from dpdjax.engine.simulate import proceed
 from dpdjax.engine.state import grow
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
@@ -345,7 +345,9 @@ def window_tangents(ensemble, fluid, names, k, dt, plan):
     trips, shape, goal = trips_of(plan), shape_of(plan, ensemble.beads), ensemble.goal
     along = np.eye(len(names))[k]
     for _ in range(8):
-        arguments = (System.of(fluid, dt, goal.flow), ensemble.state, ensemble.keys, along)
+        system = System.of(fluid, dt, goal.flow)
+        state = begun(system, ensemble.state, ensemble.keys)
+        arguments = (system, state, ensemble.keys, along)
         if is_new(arguments, (names, shape, "tangent"), (goal.observe,)):
             ensemble.report("compiling")
         slopes, after = _tangent(*arguments, trips, names, shape, goal.observe)
@@ -373,7 +375,7 @@ def _tangent(system: System, state, keys, along, trips, names, shape, observe):
     def values(x, state, key):
         fluid = system.fluid.set(energies="keep", **dict(zip(names, jnp.exp(x))))
         moved = dataclasses.replace(system, fluid=fluid)
-        trajectory = advance(moved, state, key, shape, how, trips=trips)
+        trajectory = proceed(moved, state, key, shape, how, trips=trips)
         return trajectory.frames["value"], trajectory.final
 
     def one(state, key):

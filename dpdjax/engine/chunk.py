@@ -11,7 +11,7 @@ import numpy as np
 from dpdjax.engine import order
 from dpdjax.engine import status as bits
 from dpdjax.engine.compiling import is_new
-from dpdjax.engine.simulate import advance
+from dpdjax.engine.simulate import begin, proceed
 from dpdjax.engine.state import State, grow
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
@@ -75,7 +75,7 @@ def replayed(
     for _ in range(MAX_GROWTHS):
         if is_new((system, state, key), shape, how):
             compiling()
-        after, frames = _compiled(system, state, key, trips, shape, how)
+        after, frames = _compiled(system, begun(system, state, key), key, trips, shape, how)
         status = np.asarray(after.status)
         # A member that failed may overflow any list: it is given up, and decides nothing for the
         # others.
@@ -123,12 +123,30 @@ def without_failed(before: State, after: State, frames: dict):
     )
 
 
+def begun(system: System, state: State, key) -> State:
+    """The state, one or a batch, with its force known.
+
+    By a program of its own, which runs of one fluid that record other things share.
+    """
+    return state if np.all(state.started) else _begun(system, state, key)
+
+
+@jax.jit
+def _begun(system: System, state, key):
+    return _each(begin, system, state, key)
+
+
 @functools.partial(jax.jit, static_argnames=("shape", "how"))
 def _compiled(system: System, state, key, trips, shape, how):
     def one(system, state, key):
-        trajectory = advance(system, state, key, shape, how, trips=trips)
+        trajectory = proceed(system, state, key, shape, how, trips=trips)
         return trajectory.final, trajectory.frames
 
+    return _each(one, system, state, key)
+
+
+def _each(function, system: System, state, key):
+    """``function`` of one, or of every member of a batch."""
     if not key.ndim:
-        return one(system, state, key)
-    return each_member(one, (system.batch_axes(), 0, 0))(system, state, key)
+        return function(system, state, key)
+    return each_member(function, (system.batch_axes(), 0, 0))(system, state, key)

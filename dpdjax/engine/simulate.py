@@ -72,10 +72,21 @@ def _judged(state: State, trouble) -> State:
     return dataclasses.replace(state, status=state.status | trouble)
 
 
-def advance(
+def advance(system: System, state: State, key, plan: Plan, how, remat: bool = False) -> Trajectory:
+    """:func:`simulate` with recorders ``how``, without checks and without the poison."""
+    return proceed(system, begin(system, state, key), key, plan, how, remat)
+
+
+def begin(system: System, state: State, key) -> State:
+    """The state with its force known, as :func:`proceed` takes it."""
+    system = system.as_type(state.position.dtype)
+    return system.integrator.start(system, state, key)
+
+
+def proceed(
     system: System, state: State, key, plan: Plan, how, remat: bool = False, trips=None
 ) -> Trajectory:
-    """:func:`simulate` with recorders ``how``, without checks and without the poison.
+    """:func:`advance` from a state whose force is known.
 
     ``trips``, a pair of whole numbers, are the frames and the steps between two in place of those
     of the plan, and no part of the program; the plan then gives the room for frames, and whether
@@ -102,7 +113,6 @@ def advance(
             values |= r.value(fluid, view, s, dt, every)
         return _judged(state, motion.trouble(fluid, state, dt)), values
 
-    state = system.integrator.start(system, state, key)
     state = _judged(state, list_trouble(fluid, state))
     if plan.every < order.LASTS:
         state = order.in_cell_order(state)
@@ -152,10 +162,12 @@ def run_interval(state, one, every, how: list[Recorder], fluid, each: bool, seen
         state = one(state, each)
         return state, add(sums, state)
 
-    zeros = [r.zero(fluid, state) for r in how]
-    state, sums = repeated(body, (state, zeros), every - 1)
-    state = one(state, True)
-    return state, add(sums, state)
+    start = state, [r.zero(fluid, state) for r in how]
+    if each:
+        return repeated(body, start, every)
+    # Two copies of a step: one without the sums over pairs, one with them for the frame.
+    state, sums = repeated(body, start, every - 1)
+    return one(state, True), sums
 
 
 def step(
