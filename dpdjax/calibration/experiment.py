@@ -34,8 +34,9 @@ from dpdjax.pairs.noise import Domain
 from dpdjax.prepare.start import initial_state
 from dpdjax.xla import each_member
 
-PIECE = Plan(frames=25, every=40)
-"""A run is extended by whole pieces until its error bar is met: one compilation for all."""
+PIECE, PIECE_TIME = Plan(frames=25, every=40), 0.5
+"""A run is extended by whole pieces until its error bar is met: of so many steps at most, and of
+about so many thermal times."""
 LEAST_PIECES, LEAST_BLOCKS = 16, 8
 """Pieces and blocks of the shortest run, over all boxes."""
 BLOCKS = 32
@@ -190,15 +191,16 @@ def measure(
     """
     dt = ensemble.step_for(fluid)
     _check_dt(fluid, ensemble.state, dt)
-    piece_time = dt * PIECE.steps
+    plan = piece(fluid, dt)
+    piece_time = dt * plan.steps
     for _ in range(math.ceil(settle / piece_time)):
-        _extend(ensemble, fluid, dt)
+        _extend(ensemble, fluid, dt, plan)
     series, noise, heat, spent = [], [], [], 0
     block = math.ceil(REMEMBERED * thermal_time(fluid) / piece_time)
     pieces = -(-max(LEAST_PIECES, LEAST_BLOCKS * block) // ensemble.state.position.shape[0])
     while True:
-        frames = _extend(ensemble, fluid, dt)
-        spent += PIECE.steps * ensemble.beads
+        frames = _extend(ensemble, fluid, dt, plan)
+        spent += plan.steps * ensemble.beads
         heat.append(np.mean(frames.get("temperature", math.nan)))
         _refuse_heat(ensemble, fluid, dt, heat[-1])
         series.append(frames["value"])
@@ -212,8 +214,8 @@ def measure(
         pieces = planned(len(series), estimate.error / error)
     # What short runs of few beads scatter by is no heat.
     _tell_heat(ensemble, fluid, dt, np.mean(heat) - 2 * np.std(heat) / math.sqrt(len(heat)))
-    count = len(series) * PIECE.frames
-    times = dt * PIECE.every * np.arange(1, count + 1)
+    count = len(series) * plan.frames
+    times = dt * plan.every * np.arange(1, count + 1)
     values = ensemble.goal.scale * np.concatenate(series, axis=1)
     rate, temperature = float(ensemble.goal.flow.rate), float(np.mean(heat))
     spent = ensemble.steps
@@ -253,8 +255,14 @@ def _check_dt(fluid, state, dt):
     check_dt(System.of(fluid, dt), jax.tree.map(lambda leaf: leaf[0], state))
 
 
-def _extend(ensemble, fluid, dt):
-    plan, goal = PIECE, ensemble.goal
+def piece(fluid, dt: float) -> Plan:
+    """The plan by which a run is extended; those of all fluids are one program."""
+    every = round(PIECE_TIME * thermal_time(fluid) / (dt * PIECE.frames))
+    return Plan(PIECE.frames, min(max(1, every), PIECE.every))
+
+
+def _extend(ensemble, fluid, dt, plan):
+    goal = ensemble.goal
     system = System.of(fluid, dt, goal.flow)
     ensemble.state, frames = _replayed(ensemble, system, plan, mean(goal.observe))
     ensemble.steps += plan.steps * ensemble.beads

@@ -51,8 +51,16 @@ class Integrator(Part):
     def dt_limits(
         self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]
     ) -> list[tuple[str, float]]:
-        """What limits the time step, and the largest it allows; see :func:`advice.dt_limits`."""
+        """What is unstable at too long a time step, and the longest it allows; see
+        :func:`advice.dt_limits`."""
         return advice.dt_limits(fluid, density, sizes)
+
+    def dt_errors(
+        self, fluid: Fluid, density: ArrayLike, error: float = advice.ERROR
+    ) -> list[tuple[str, float]]:
+        """What errs with the time step, and the dt at which it errs by ``error``; see
+        :func:`advice.dt_errors`."""
+        return advice.dt_errors(fluid, density, error)
 
 
 @jax.tree_util.register_dataclass

@@ -1,10 +1,12 @@
 """Time steps and skins that suit a fluid whose numbers are known."""
 
 import math
+from typing import Any
 
 import numpy as np
 from jax.typing import ArrayLike
 
+from dpdjax.checks import positive
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import (
     CLOSE_NEIGHBOURS,
@@ -27,29 +29,88 @@ SORTING_COST = 2.4
 tests/benchmarks)."""
 
 
-def suggest_dt(fluid: Fluid, density: ArrayLike, sizes: tuple[float, float] = (1.0, 1.0)) -> float:
-    """The time step that keeps the temperature error of velocity-Verlet below 0.5 %.
+ERROR = 0.005
+"""Of temperature, configurational temperature and structure, where no other is asked for."""
+SAFETY = 0.7
+"""Share of what stability allows colloids."""
+HEAT, HEAT_RATE, HEAT_SHARED = 1.2, 0.8, 0.1
+STIFF, STIFFER = 20.0, 1.75
+FREEZE, FREEZE_POWER = 1.2, 3.7
+THIN, THICK = 0.15, 1.6
+"""Errors of velocity-Verlet, as :func:`dt_errors` has them (measured:
+tests/physics/INTEGRATORS.md)."""
 
-    The error is about 0.7 omega dt in an unstructured fluid, with omega the
-    :func:`damping_rate`, and 0.3 to 0.4 omega dt in one that repels like water (measured:
-    tests/physics/RESULTS.md). Never above a hundredth of the thermal time
-    ``r_c sqrt(m / kT)``, nor above 0.7 of what :func:`dt_limits` allows colloids.
 
-    ``density``: beads per volume of all, or one number for each species; ``sizes``: relative sizes
-    of the smallest and the largest colloid.
+def suggest_dt(
+    fluid: Fluid,
+    density: ArrayLike,
+    sizes: tuple[float, float] = (1.0, 1.0),
+    *,
+    integrator: Any = None,
+    error: float = ERROR,
+) -> float:
+    """The longest time step at which a run is right to ``error``.
+
+    That is what accuracy allows (:func:`dt_errors`: kinetic and configurational temperature,
+    structure), at most a hundredth of the thermal time ``r_c sqrt(m / kT)``, and 0.7 of what
+    stability allows colloids (:func:`dt_limits`).
+
+    Args:
+        fluid: what runs; of a scan the member that needs the shortest step counts.
+        density: beads per volume of all, or one number for each species.
+        sizes: relative sizes of the smallest and the largest colloid.
+        integrator: whose step it is; by default velocity-Verlet.
+        error: relative error that is allowed.
+
+    Raises ValueError where nothing limits the step.
     """
+    positive(error, "error")
     numbers = extreme(fluid)
-    error = 0.7 / (
-        1.0 + min(over(repulsion_energy(numbers, density), float(numbers.kT)), 16.0) / 20.0
-    )
-    rate = damping_rate(numbers, density)
-    limits = [0.7 * limit for _, limit in dt_limits(fluid, density, sizes)[1:]]
-    dt = min(over(0.005 / error, rate), 0.01 * thermal_time(numbers), *limits)
+    errors = dt_errors if integrator is None else integrator.dt_errors
+    stable = dt_limits if integrator is None else integrator.dt_limits
+    limits = [limit for _, limit in errors(fluid, density, error)]
+    limits += [SAFETY * limit for _, limit in stable(fluid, density, sizes)[1:]]
+    dt = min(0.01 * thermal_time(numbers), *limits)
     if not math.isfinite(dt):
         raise ValueError(
             "nothing limits the time step: the fluid has neither kT nor a force; give dt="
         )
     return dt
+
+
+def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tuple[str, float]]:
+    """What errs with the time step of velocity-Verlet, and the dt at which it errs by ``error``
+    [time].
+
+    In thermal units, ``w`` the :func:`damping_rate` and ``u`` the mean-field repulsion of a bead:
+    the kinetic temperature by ``1.2 dt w/(w + 0.8 + 0.1 u)``; the configurational one by ``(20 + 1.75 u)
+    dt^2``, and at strong drag by ``-1.2 (w dt)^3.7``; how often beads overlap by ``-0.15 w dt/(1 +
+    u/1.6)``, which beads that do not repel each other feel first.
+    """
+    names = (
+        "temperature",
+        "configurational temperature of a stiff repulsion",
+        "configurational temperature at strong drag",
+        "structure at strong drag",
+    )
+    cases = (_errors(case, density, error) for case in worst_cases(fluid))
+    return list(zip(names, (min(limits) for limits in zip(*cases))))
+
+
+def _errors(numbers, density, error: float) -> tuple[float, float, float, float]:
+    """The dt at which each of the errors of :func:`dt_errors` is ``error``."""
+    kT, rate, thermal = float(numbers.kT), damping_rate(numbers, density), thermal_time(numbers)
+    # Mean-field energies beyond a few hundred kT are those of beads that never come so near.
+    repulsion = min(over(repulsion_energy(numbers, density), kT), 250.0)
+    shared = HEAT_RATE + HEAT_SHARED * repulsion
+    # Without a temperature there is no thermal unit, and beads at rest are not heated.
+    heated = thermal + over(shared, rate) if math.isfinite(thermal) else math.inf
+    return (
+        error / HEAT * heated,
+        math.sqrt(error / (STIFF + STIFFER * repulsion)) * thermal,
+        over((error / FREEZE) ** (1.0 / FREEZE_POWER), rate),
+        over(error / THIN * (1.0 + repulsion / THICK), rate),
+    )
 
 
 def dt_limits(
