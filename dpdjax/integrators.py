@@ -1,20 +1,24 @@
 """How beads move on in time, and the parts that an integrator of your own is made of."""
 
-from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, UNDAMPED, forces_on, update_lists
+from dpdjax.engine.implicit import ImplicitDrag, damped
 from dpdjax.engine.integrator import Drift, Integrator, VelocityVerlet, drifted, settled
 from dpdjax.model.beads import inertias, masses
 from dpdjax.pairs.sums import Forces
 
 __all__ = [
+    "damped",
     "Drift",
     "drifted",
     "EVERYTHING",
     "Forces",
     "forces_on",
+    "ImplicitDrag",
     "inertias",
     "Integrator",
     "masses",
     "settled",
+    "UNDAMPED",
     "update_lists",
     "VelocityVerlet",
 ]

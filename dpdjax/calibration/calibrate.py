@@ -25,6 +25,7 @@ from dpdjax.calibration.picture import draw_calibration
 from dpdjax.checks import number, positive, prng_key
 from dpdjax.engine.compiling import Clock
 from dpdjax.engine.flow import Driving
+from dpdjax.engine.integrator import Integrator
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import drag_viscosity, thermal_time
@@ -129,6 +130,7 @@ def calibrate(
     guess: float | None = None,
     dt: float | None = None,
     rate: float | None = None,
+    integrator: Integrator | None = None,
     box: float | None = None,
     boxes: int = 2,
     max_particle_steps: float = 2e9,
@@ -158,6 +160,9 @@ def calibrate(
         branch: ``"upper"`` where the number rises with the parameter, ``"lower"`` where it
             falls: viscosity has a minimum in gamma, and two gammas above it.
         dt: time step; by default ``suggest_dt``, following the drag.
+        integrator: how the boxes move on in time; by default velocity-Verlet, or
+            ``dpd.integrators.ImplicitDrag`` where that covers more time at the same accuracy: at
+            strong drag between beads that hardly repel each other.
         rate: shear rate; by default ``suggest_rate``.
         box: side of each box; by default 10 interaction ranges.
         boxes: boxes in the batch.
@@ -179,7 +184,7 @@ def calibrate(
     say = report or (lambda text: None)
     if not isinstance(parameter, str):
         wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
-        setup = (observe, flow, rate, density, tolerance, box, boxes, dt)
+        setup = (observe, flow, rate, density, tolerance, box, boxes, dt, integrator)
         found = _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
         return dataclasses.replace(
             found, seconds=clock.seconds, compile_seconds=clock.compile_seconds
@@ -189,7 +194,7 @@ def calibrate(
     fluid = fluid.set(energies="keep", **{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
     say(f"equilibrating {boxes} boxes")
-    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, say)
+    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, integrator, say)
     wanted = tolerance * abs(goal.target) / SIGMAS
 
     x, points, proposal = math.log(guess), [], None
@@ -258,6 +263,7 @@ def measure_viscosity(
     tolerance: float = 0.02,
     dt: float | None = None,
     rate: float | None = None,
+    integrator: Integrator | None = None,
     box: float | None = None,
     boxes: int = 2,
     max_particle_steps: float = 2e9,
@@ -279,7 +285,7 @@ def measure_viscosity(
     goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
     say = report or (lambda text: None)
     say(f"equilibrating {boxes} boxes")
-    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, say)
+    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, integrator, say)
     settle = thermal_time(fluid)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
@@ -298,7 +304,7 @@ def measure_viscosity(
 
 def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCalibration:
     """Several parameters: one batch of boxes for each wanted number."""
-    observe, flow, rate, density, tolerance, box, boxes, dt = setup
+    observe, flow, rate, density, tolerance, box, boxes, dt, integrator = setup
     wishes = {name: value for name, value in wishes.items() if value is not None}
     if len(wishes) != len(parameters):
         raise ValueError(
@@ -314,7 +320,7 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
         ensembles.append(
-            _ensemble(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, say)
+            _ensemble(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, integrator, say)
         )
     return descend(fluid, parameters, ensembles, tolerance, optimiser, MAX_POINTS, say)
 
@@ -333,10 +339,18 @@ def _density(fluid, density) -> float:
     )
 
 
-def _ensemble(fluid, goal, key, density, box, boxes, dt, say):
+def _ensemble(fluid, goal, key, density, box, boxes, dt, integrator, say):
     side = 10.0 * max(fluid.reaches()) if box is None else box
     return experiment.prepare(
-        fluid, goal, key, density=density, side=side, boxes=boxes, dt=dt, report=say
+        fluid,
+        goal,
+        key,
+        density=density,
+        side=side,
+        boxes=boxes,
+        dt=dt,
+        integrator=integrator,
+        report=say,
     )
 
 

@@ -16,6 +16,8 @@ from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
 from dpdjax.engine.chunk import begun, complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.compiling import is_new
+from dpdjax.engine.implicit import ImplicitDrag
+from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.refusals import check_dt
@@ -58,6 +60,7 @@ class Ensemble:
         state: a batch of states.
         keys: one noise key per box.
         dt: fixed time step, or None to follow the drag.
+        integrator: how the boxes move on in time.
         steps: particle-steps spent so far.
         report: ``report(text)`` is told of the progress.
     """
@@ -68,11 +71,18 @@ class Ensemble:
     state: Any
     keys: Any
     dt: float | None = None
+    integrator: Integrator = VelocityVerlet()
     steps: int = 0
     report: Callable = lambda text: None
 
     def step_for(self, fluid) -> float:
-        return suggest_dt(fluid, self.density) if self.dt is None else self.dt
+        if self.dt is not None:
+            return self.dt
+        return suggest_dt(fluid, self.density, integrator=self.integrator)
+
+    def system_of(self, fluid, dt: float) -> System:
+        """A fluid in the flow of the goal."""
+        return System.of(fluid, dt, self.goal.flow, self.integrator)
 
     @property
     def beads(self) -> int:
@@ -86,7 +96,16 @@ def begin_afresh(ensemble):
 
 
 def prepare(
-    fluid, goal: Goal, key, *, density, side, boxes, dt=None, report=lambda text: None
+    fluid,
+    goal: Goal,
+    key,
+    *,
+    density,
+    side,
+    boxes,
+    dt=None,
+    integrator=None,
+    report=lambda text: None,
 ) -> Ensemble:
     """A batch of boxes in equilibrium.
 
@@ -102,16 +121,31 @@ def prepare(
             "dpd.pure_solvent(fluid)"
         )
     build_key, noise_key = jax.random.split(key)
-    step = suggest_dt(fluid, density) if dt is None else dt
+    integrator = cheapest(fluid, density) if integrator is None else integrator
+    step = suggest_dt(fluid, density, integrator=integrator) if dt is None else dt
     skin = suggest_skin(fluid, step)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
-    _check_dt(fluid, state, step)
+    _check_dt(System.of(fluid, step, None, integrator), state)
     check_observed(goal, fluid, jax.tree.map(lambda leaf: leaf[0], state))
     keys = jax.random.split(noise_key, boxes)
-    ensemble = Ensemble(fluid, goal, density, complete_lists(state), keys, dt, report=report)
+    ensemble = Ensemble(fluid, goal, density, complete_lists(state), keys, dt, integrator, report=report)
     _equilibrate(ensemble)
     return ensemble
+
+
+COST = 3.0
+"""A step of :class:`ImplicitDrag` in units of one of velocity-Verlet (measured:
+tests/physics/INTEGRATORS.md)."""
+
+
+def cheapest(fluid, density: float) -> Integrator:
+    """The integrator that covers most time at the same accuracy: velocity-Verlet, but for strong
+    drag between beads that hardly repel each other."""
+    verlet, implicit = VelocityVerlet(), ImplicitDrag()
+    dt = [suggest_dt(fluid, density, integrator=one) for one in (verlet, implicit)]
+    random = any(i.random is not None for i in fluid.interactions)
+    return implicit if dt[1] > COST * dt[0] and not random else verlet
 
 
 EQUILIBRATION = Plan(10, 50)
@@ -190,7 +224,7 @@ def measure(
         report: ``report(text)``, told of the progress.
     """
     dt = ensemble.step_for(fluid)
-    _check_dt(fluid, ensemble.state, dt)
+    _check_dt(ensemble.system_of(fluid, dt), ensemble.state)
     plan = piece(fluid, dt)
     piece_time = dt * plan.steps
     for _ in range(math.ceil(settle / piece_time)):
@@ -249,10 +283,10 @@ def _refuse_heat(ensemble, fluid, dt, temperature):
         )
 
 
-def _check_dt(fluid, state, dt):
+def _check_dt(system: System, state):
     """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next
     drag."""
-    check_dt(System.of(fluid, dt), jax.tree.map(lambda leaf: leaf[0], state))
+    check_dt(system, jax.tree.map(lambda leaf: leaf[0], state))
 
 
 def piece(fluid, dt: float) -> Plan:
@@ -262,9 +296,8 @@ def piece(fluid, dt: float) -> Plan:
 
 
 def _extend(ensemble, fluid, dt, plan):
-    goal = ensemble.goal
-    system = System.of(fluid, dt, goal.flow)
-    ensemble.state, frames = _replayed(ensemble, system, plan, mean(goal.observe))
+    system, observe = ensemble.system_of(fluid, dt), ensemble.goal.observe
+    ensemble.state, frames = _replayed(ensemble, system, plan, mean(observe))
     ensemble.steps += plan.steps * ensemble.beads
     return jax.device_get(frames)
 
@@ -353,7 +386,7 @@ def window_tangents(ensemble, fluid, names, k, dt, plan):
     trips, shape, goal = trips_of(plan), shape_of(plan, ensemble.beads), ensemble.goal
     along = np.eye(len(names))[k]
     for _ in range(8):
-        system = System.of(fluid, dt, goal.flow)
+        system = ensemble.system_of(fluid, dt)
         state = begun(system, ensemble.state, ensemble.keys)
         arguments = (system, state, ensemble.keys, along)
         if is_new(arguments, (names, shape, "tangent"), (goal.observe,)):

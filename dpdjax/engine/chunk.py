@@ -128,7 +128,8 @@ def begun(system: System, state: State, key) -> State:
 
     By a program of its own, which runs of one fluid that record other things share.
     """
-    return state if np.all(state.started) else _begun(system, state, key)
+    is_known = np.all(np.asarray(state.started) == system.integrator.mark)
+    return state if is_known else _begun(system, state, key)
 
 
 @jax.jit

@@ -1,5 +1,4 @@
 """All that acts on the beads of a state: between pairs of them, and from outside."""
-
 import dataclasses
 
 import jax
@@ -10,12 +9,15 @@ from dpdjax.model.beads import masses
 from dpdjax.model.fluid import ORIGINS
 from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.forces import pair_force
+from dpdjax.pairs.laws import CONSERVATIVE
 from dpdjax.pairs.sums import Forces
 
 DRIVEN = "driven"
 EVERYTHING = (*ORIGINS, DRIVEN)
 """Kinds of force: those of pairs, of which drag alone depends on velocities, and what drives beads
 from outside."""
+UNDAMPED = (CONSERVATIVE, DRIVEN)
+"""Those that are the same whatever the velocities are, and without noise."""
 
 
 def update_lists(state: State) -> State:

@@ -2,7 +2,7 @@
 velocity."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
-from dpdjax.engine.forces import forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
 from dpdjax.engine.rotation import rotation_step
 from dpdjax.engine.state import State
 from dpdjax.model import advice
@@ -26,7 +26,12 @@ class Integrator(Part):
 
     One of your own writes :meth:`step`, of which :func:`drifted`, :func:`forces_on` and
     :func:`settled` are the parts.
+
+    Attributes:
+        kinds: the kinds of force that the force of a state consists of between two steps.
     """
+
+    kinds: ClassVar[tuple[str, ...]] = EVERYTHING
 
     def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
         """The state a step of ``system.dt`` later, its force known; ``tally`` (static): with the
@@ -36,17 +41,28 @@ class Integrator(Part):
     def start(self, system, state: State, key: jax.Array) -> State:
         """The state with its force known, computed now if it was not."""
 
+        is_known = state.started == self.mark
+
         def compute(state):
             updated = update_lists(state)
-            forces = forces_on(system, updated, updated.velocity, key, True)
+            forces = forces_on(system, updated, updated.velocity, key, True, self.kinds)
             known = dataclasses.replace(
-                with_forces(updated, forces), started=jnp.ones_like(state.started)
+                with_forces(updated, forces), started=jnp.full_like(state.started, self.mark)
             )
-            return jax.tree.map(lambda old, new: jnp.where(state.started, old, new), state, known)
+            return jax.tree.map(lambda old, new: jnp.where(is_known, old, new), state, known)
 
         # In a batch all compute as soon as one must: a branch of its own for each would be no
         # branch.
-        return jax.lax.cond(any_in_batch(~state.started), compute, lambda state: state, state)
+        return jax.lax.cond(any_in_batch(~is_known), compute, lambda state: state, state)
+
+    @property
+    def mark(self) -> int:
+        """What a state that this integrator can go on with has in ``started``: its kinds of force,
+        as bits."""
+        return sum(1 << EVERYTHING.index(kind) for kind in self.kinds)
+
+    def check(self, fluid: Fluid, state: State) -> None:
+        """Raise TypeError or ValueError, before a run of one state, for a fluid it cannot move."""
 
     def dt_limits(
         self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]

@@ -68,6 +68,13 @@ def in_order_of(state: State, ids) -> State:
     return permuted(state, cells.inverse(state.id)[ids]) if is_kept(state) else state
 
 
+def by_id(state: State, rows):
+    """What each bead has, or each that rotates, in the order of the ids."""
+    if rows.shape[0] == state.n:
+        return rows[cells.inverse(state.id)]
+    return rows[jnp.argsort(state.id[state.rotation.slots])]
+
+
 def permuted(state: State, order) -> State:
     """The beads ``order`` (n,), a permutation of the slots; lists keep their pairs and their
     order."""

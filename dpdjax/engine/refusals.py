@@ -47,6 +47,7 @@ def check_run(system: System, state, key):
     check_rotation(fluid, state)
     check_finite(state)
     soundness.check_laws(fluid, state)
+    system.integrator.check(fluid, state)
     check_dt(system, state)
     if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
         check_tilt(state)

@@ -48,7 +48,8 @@ class State:
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
         rotation: of the beads that rotate, or None.
-        started: whether ``force`` is known; if not, a run computes it first.
+        started: which kinds of force ``force`` consists of, as bits (``Integrator.mark``); a run
+            with an integrator of other kinds computes it first, as where it is 0.
         status: sticky bits (``dpdjax.engine.status``).
     """
 
@@ -159,7 +160,7 @@ def assemble(
         time_rest=jnp.zeros((), position.dtype),
         neighbours=tuple(lists.allocate(grid, box, position) for grid in grids),
         tally=Tally.zero(position.dtype, origins),
-        started=jnp.asarray(False),
+        started=integers,
         status=jnp.zeros((), jnp.uint32),
         rotation=rotation,
     )

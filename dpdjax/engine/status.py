@@ -11,6 +11,7 @@ REACH_EXCEEDED = 8
 BOX_TOO_SMALL = 16
 RUN_AWAY = 32
 BAD_LAW = 64
+UNSOLVED = 128
 
 MEANINGS = {
     PAIRS_OVERFLOW: "a neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
@@ -27,6 +28,8 @@ MEANINGS = {
     "skin",
     BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other "
     "coefficients",
+    UNSOLVED: "the drag of a step was not solved for; use a smaller dt, or a larger tolerance of the "
+    "integrator",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
 CROWDED = (

@@ -15,7 +15,7 @@ from dpdjax.engine.state import State, assemble
 from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.box import box
 
-FORMAT = 6
+FORMAT = 7
 
 
 def refuse_existing(path, cure: str) -> None:

@@ -32,13 +32,30 @@ tests/benchmarks)."""
 ERROR = 0.005
 """Of temperature, configurational temperature and structure, where no other is asked for."""
 SAFETY = 0.7
-"""Share of what stability allows colloids."""
+"""Share of what stability allows that is suggested."""
 HEAT, HEAT_RATE, HEAT_SHARED = 1.2, 0.8, 0.1
 STIFF, STIFFER = 20.0, 1.75
 FREEZE, FREEZE_POWER = 1.2, 3.7
 THIN, THICK = 0.15, 1.6
 """Errors of velocity-Verlet, as :func:`dt_errors` has them (measured:
 tests/physics/INTEGRATORS.md)."""
+
+
+ERRING = TEMPERATURE, STIFFNESS, *_ = (
+    "temperature",
+    "configurational temperature of a stiff repulsion",
+    "configurational temperature at strong drag",
+    "structure at strong drag",
+)
+"""What errs, as :func:`dt_errors` names it."""
+_close = f"the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours"
+LIMITS = DRAG, REPULSION, LUBRICATION, CONTACT = (
+    "drag: dt times the damping rate of a bead is to stay below 0.5",
+    "conservative force: dt times the frequency of a pair is to stay below 0.5",
+    f"lubrication: dt times {_close} is to stay below 1",
+    "contact force: dt times the frequency of two touching colloids is to stay below 1",
+)
+"""What is unstable, as :func:`dt_limits` names it."""
 
 
 def suggest_dt(
@@ -52,8 +69,7 @@ def suggest_dt(
     """The longest time step at which a run is right to ``error``.
 
     That is what accuracy allows (:func:`dt_errors`: kinetic and configurational temperature,
-    structure), at most a hundredth of the thermal time ``r_c sqrt(m / kT)``, and 0.7 of what
-    stability allows colloids (:func:`dt_limits`).
+    structure), and at most 0.7 of what stability allows (:func:`dt_limits`).
 
     Args:
         fluid: what runs; of a scan the member that needs the shortest step counts.
@@ -65,12 +81,11 @@ def suggest_dt(
     Raises ValueError where nothing limits the step.
     """
     positive(error, "error")
-    numbers = extreme(fluid)
     errors = dt_errors if integrator is None else integrator.dt_errors
     stable = dt_limits if integrator is None else integrator.dt_limits
     limits = [limit for _, limit in errors(fluid, density, error)]
-    limits += [SAFETY * limit for _, limit in stable(fluid, density, sizes)[1:]]
-    dt = min(0.01 * thermal_time(numbers), *limits)
+    limits += [SAFETY * limit for _, limit in stable(fluid, density, sizes)]
+    dt = min(limits, default=math.inf)
     if not math.isfinite(dt):
         raise ValueError(
             "nothing limits the time step: the fluid has neither kT nor a force; give dt="
@@ -87,14 +102,8 @@ def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tu
     dt^2``, and at strong drag by ``-1.2 (w dt)^3.7``; how often beads overlap by ``-0.15 w dt/(1 +
     u/1.6)``, which beads that do not repel each other feel first.
     """
-    names = (
-        "temperature",
-        "configurational temperature of a stiff repulsion",
-        "configurational temperature at strong drag",
-        "structure at strong drag",
-    )
     cases = (_errors(case, density, error) for case in worst_cases(fluid))
-    return list(zip(names, (min(limits) for limits in zip(*cases))))
+    return list(zip(ERRING, (min(limits) for limits in zip(*cases))))
 
 
 def _errors(numbers, density, error: float) -> tuple[float, float, float, float]:
@@ -123,22 +132,8 @@ def dt_limits(
     stable below 2 over their frequency. ``sizes``: relative sizes of the smallest and the largest
     colloid; the smallest is the first to suffer.
     """
-    close = f"the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours"
-    names = (
-        "drag: dt times the damping rate of a bead is to stay below 0.5",
-        "conservative force: dt times the frequency of a pair is to stay below 0.5",
-        f"lubrication: dt times {close} is to stay below 1",
-        "contact force: dt times the frequency of two touching colloids is to stay below 1",
-    )
-    return list(
-        zip(
-            names,
-            (
-                min(limits)
-                for limits in zip(*(_limits(case, density, sizes) for case in worst_cases(fluid)))
-            ),
-        )
-    )
+    cases = (_limits(case, density, sizes) for case in worst_cases(fluid))
+    return list(zip(LIMITS, (min(limits) for limits in zip(*cases))))
 
 
 def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:

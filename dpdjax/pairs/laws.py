@@ -65,10 +65,12 @@ def safe_sqrt(x):
 
 
 class Wanted(NamedTuple):
-    """What of the forces is asked for (static): the kinds, and whether the sums over pairs."""
+    """What of the forces is asked for (static): the kinds, whether the sums over pairs, and whether
+    noise is normal in place of uniform."""
 
     kinds: tuple[str, ...] = ORIGINS
     tally: bool = False
+    normal: bool = False
 
 
 class Words(NamedTuple):
@@ -107,7 +109,8 @@ def central_forces(interaction: Interaction, kT, pairs: Pairs, moment: Moment, w
         forces[origin] = forces.get(origin, 0.0) - friction * pairs.v
     if RANDOM not in wanted.kinds:
         return energy, forces
-    xi = noise.pair_noise(moment.words.step, *moment.words.of_pairs(pairs), pairs.v.dtype.type)
+    given = *moment.words.of_pairs(pairs), pairs.v.dtype.type, wanted.normal
+    xi = noise.pair_noise(moment.words.step, *given)
     return energy, forces | {RANDOM: safe_sqrt(2.0 * kT * zeta / moment.dt) * xi}
 
 
@@ -119,7 +122,8 @@ def transverse_forces(interaction: Interaction, kT, pairs: Pairs, moment: Moment
     forces = {origin: opposed(f) for origin, f in frictions.items() if DRAG in wanted.kinds}
     if RANDOM not in wanted.kinds:
         return forces
-    xi = noise.pair_vector(moment.words.vector, *moment.words.of_pairs(pairs), pairs.v.dtype.type)
+    given = *moment.words.of_pairs(pairs), pairs.v.dtype.type, wanted.normal
+    xi = noise.pair_vector(moment.words.vector, *given)
     along = sum(x * e for x, e in zip(xi, pairs.e))
     strength = safe_sqrt(2.0 * kT * zeta / moment.dt)
     return forces | {RANDOM: tuple(strength * (x - along * e) for x, e in zip(xi, pairs.e))}

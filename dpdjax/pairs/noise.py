@@ -61,24 +61,39 @@ def bead_words(words, ids):
     return mix(ids.astype(jnp.uint32) ^ words[0])
 
 
-def pair_noise(words, a, b, dtype):
+def pair_noise(words, a, b, dtype, normal: bool = False):
     """One number of mean 0 and variance 1 per pair of beads with the words ``a`` and ``b``,
-    uniform.
+    :func:`uniform` or :func:`normal`.
 
-    Uniform noise has the same weak order as Gaussian (Dunweg & Paul 1991). The 23
-    top bits are centred, so that the mean is zero to the last bit. The sum of two words knows no
-    order; and, unlike a sum that is linear in an id, two beads never share a stretch of it.
+    The sum of two words knows no order; and, unlike a sum that is linear in an id, two beads never
+    share a stretch of it.
     """
-    return _uniform(mix((a + b) ^ words[1]), dtype)
+    return _shape(normal)(mix((a + b) ^ words[1]), dtype)
 
 
-def pair_vector(words, a, b, dtype):
+def pair_vector(words, a, b, dtype, normal: bool = False):
     """Three such numbers per pair, keyed by ``vector_words``: a vector that changes sign with the
     order of the beads."""
-    sign = jnp.where(a < b, dtype(1.0), dtype(-1.0))
-    return tuple(sign * _uniform(mix((a + b) ^ words[k]), dtype) for k in range(3))
+    sign, shape = jnp.where(a < b, dtype(1.0), dtype(-1.0)), _shape(normal)
+    return tuple(sign * shape(mix((a + b) ^ words[k]), dtype) for k in range(3))
 
 
-def _uniform(x, dtype):
+def _shape(is_normal: bool):
+    return normal if is_normal else uniform
+
+
+def normal(x, dtype):
+    """Of words of random bits, how many are set: binomial, whose fourth cumulant is -1/16 where a
+    Gaussian has 0 and :func:`uniform` -6/5.
+
+    For steps so long that noise of one decides how velocities are distributed.
+    """
+    return (jax.lax.population_count(x).astype(dtype) - dtype(16.0)) * dtype(8.0**-0.5)
+
+
+def uniform(x, dtype):
+    """Of words of random bits, a number from an interval: of the same weak order in dt as Gaussian
+    noise (Dunweg & Paul 1991). The 23 top bits are centred, so that the mean is zero to the last
+    bit."""
     centred = (x >> 9).astype(dtype) + dtype(0.5 - 2.0**22)
     return centred * dtype(12.0**0.5 * 2.0**-23)
