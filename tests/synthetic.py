@@ -56,7 +56,7 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
     rng, asked = np.random.default_rng(seed), []
     ln_gamma = lambda fluid: math.log(float(fluid.value("gamma")))
 
-    def prepare(fluid, goal, key, *, density, side, boxes, dt=None, report=None):
+    def prepare(fluid, goal, key, *, density, side, boxes, dt=None, integrator=None, report=None):
         state = SimpleNamespace(position=np.zeros((boxes, 10, 3)))
         keys = jax.random.split(key, boxes)
         return SimpleNamespace(

@@ -15,11 +15,11 @@ ROOT = pathlib.Path(dpdjax.__file__).parent
 ROOMS = ["model", "pairs", "engine", "prepare", "measure", "calibration"]
 HELPERS = ["checks", "drawing", "xla"]
 HOST = {"host", "cli"}
-PAIRS = "box noise cells geometry laws sums kernels neighbours forces".split()
+PAIRS = "box noise cells geometry laws sums kernels neighbours forces friction".split()
 ENGINE = (
     "compensated compiling status batching rotation state answers deformation drivers flow order "
-    "forces observables integrator system soundness motion record trajectory refusals simulate "
-    "chunk"
+    "forces observables integrator implicit system soundness motion record trajectory refusals "
+    "simulate chunk"
 ).split()
 """The files of two rooms, each built on those before it."""
 

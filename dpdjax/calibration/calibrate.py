@@ -320,7 +320,9 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
         ensembles.append(
-            _ensemble(fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, integrator, say)
+            _ensemble(
+                fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, integrator, say
+            )
         )
     return descend(fluid, parameters, ensembles, tolerance, optimiser, MAX_POINTS, say)
 

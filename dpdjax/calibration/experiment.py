@@ -30,7 +30,7 @@ from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
 from dpdjax.model.advice import suggest_dt, suggest_skin
 from dpdjax.model.laws import central_drag
-from dpdjax.model.rates import damping_rate, thermal_time
+from dpdjax.model.rates import damping_rate, repulsion_energy, thermal_time
 from dpdjax.model.term import term
 from dpdjax.pairs.noise import Domain
 from dpdjax.prepare.start import initial_state
@@ -43,9 +43,10 @@ LEAST_PIECES, LEAST_BLOCKS = 16, 8
 """Pieces and blocks of the shortest run, over all boxes."""
 BLOCKS = 32
 """Blocks an error is read off, over all boxes, or fewer that are longer."""
-REMEMBERED = 2.0
-"""Thermal times a block spans at least. In the colloid solvent (a 2.5, kT 0.1, gamma 50) blocks of
-a fifth of one gave errors a sixth too small."""
+REMEMBERED, IDLE = 2.0, 6.0
+"""Thermal times a block spans at least, and how many more where strong drag, and no repulsion,
+rules the structure. In the colloid solvent (a 2.5, kT 0.1, gamma 50) blocks of a fifth of one gave
+errors a sixth too small; at (a 0, kT 1, gamma 92) blocks of two a fifth."""
 WINDOW_FRAMES = 16
 
 
@@ -129,7 +130,9 @@ def prepare(
     _check_dt(System.of(fluid, step, None, integrator), state)
     check_observed(goal, fluid, jax.tree.map(lambda leaf: leaf[0], state))
     keys = jax.random.split(noise_key, boxes)
-    ensemble = Ensemble(fluid, goal, density, complete_lists(state), keys, dt, integrator, report=report)
+    ensemble = Ensemble(
+        fluid, goal, density, complete_lists(state), keys, dt, integrator, report=report
+    )
     _equilibrate(ensemble)
     return ensemble
 
@@ -230,7 +233,7 @@ def measure(
     for _ in range(math.ceil(settle / piece_time)):
         _extend(ensemble, fluid, dt, plan)
     series, noise, heat, spent = [], [], [], 0
-    block = math.ceil(REMEMBERED * thermal_time(fluid) / piece_time)
+    block = math.ceil(remembered(fluid, ensemble.density) / piece_time)
     pieces = -(-max(LEAST_PIECES, LEAST_BLOCKS * block) // ensemble.state.position.shape[0])
     while True:
         frames = _extend(ensemble, fluid, dt, plan)
@@ -287,6 +290,14 @@ def _check_dt(system: System, state):
     """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next
     drag."""
     check_dt(system, jax.tree.map(lambda leaf: leaf[0], state))
+
+
+def remembered(fluid, density: float) -> float:
+    """How long a stress is remembered [time]."""
+    thermal = thermal_time(fluid)
+    slow = damping_rate(fluid, density) * thermal / 20.0
+    hard = repulsion_energy(fluid, density) / float(fluid.kT) if float(fluid.kT) > 0 else 0.0
+    return thermal * (REMEMBERED + IDLE * slow / ((1.0 + slow) * (1.0 + hard)))
 
 
 def piece(fluid, dt: float) -> Plan:

@@ -1,4 +1,5 @@
 """All that acts on the beads of a state: between pairs of them, and from outside."""
+
 import dataclasses
 
 import jax

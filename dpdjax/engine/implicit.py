@@ -38,9 +38,10 @@ class ImplicitDrag(Integrator):
     solved.) It pays where drag is strong: at a step of velocity-Verlet it is three times as dear.
 
     By conjugate gradients, preconditioned by the masses, so that each iteration is a sum of forces
-    between pairs and momentum is kept to rounding. They go on until the rest is ``tolerance`` of the
-    right side, in each member of a batch by itself; a derivative is that of the solved equation, by
-    a solve of its own, and not of the iterations.
+    between pairs and momentum is kept to rounding. They go on until the rest is ``tolerance`` of
+    the right side, in each member of a batch by itself; a derivative is that of the solved
+    equation, by a solve of its own, and not of the iterations. Noise is normal, for what is left of
+    the velocities of the step before may be little.
 
     Attributes:
         tolerance: of the solve, relative.

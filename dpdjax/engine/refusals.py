@@ -153,9 +153,7 @@ def _too_large(system: System, density, sizes):
     largest = float(np.max(np.asarray(system.dt)))
     for what, limit in system.integrator.dt_limits(system.fluid, density, sizes):
         if largest > limit:
-            suits = advice.suggest_dt(
-                system.fluid, density, sizes, integrator=system.integrator
-            )
+            suits = advice.suggest_dt(system.fluid, density, sizes, integrator=system.integrator)
             return (
                 f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
                 f"use dt = {suits:.2g} (right to 0.5 %)"

@@ -28,8 +28,8 @@ MEANINGS = {
     "skin",
     BAD_LAW: "a friction is negative, or a law is not finite where beads can be; give other "
     "coefficients",
-    UNSOLVED: "the drag of a step was not solved for; use a smaller dt, or a larger tolerance of the "
-    "integrator",
+    UNSOLVED: "the drag of a step was not solved for; use a smaller dt, or a larger tolerance of "
+    "the integrator",
 }
 OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
 CROWDED = (

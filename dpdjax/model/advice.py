@@ -98,9 +98,9 @@ def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tu
     [time].
 
     In thermal units, ``w`` the :func:`damping_rate` and ``u`` the mean-field repulsion of a bead:
-    the kinetic temperature by ``1.2 dt w/(w + 0.8 + 0.1 u)``; the configurational one by ``(20 + 1.75 u)
-    dt^2``, and at strong drag by ``-1.2 (w dt)^3.7``; how often beads overlap by ``-0.15 w dt/(1 +
-    u/1.6)``, which beads that do not repel each other feel first.
+    the kinetic temperature by ``1.2 dt w/(w + 0.8 + 0.1 u)``; the configurational one by ``(20 +
+    1.75 u) dt^2``, and at strong drag by ``-1.2 (w dt)^3.7``; how often beads overlap by ``-0.15 w
+    dt/(1 + u/1.6)``, which beads that do not repel each other feel first.
     """
     cases = (_errors(case, density, error) for case in worst_cases(fluid))
     return list(zip(ERRING, (min(limits) for limits in zip(*cases))))

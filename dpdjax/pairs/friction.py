@@ -1,7 +1,8 @@
 """Frictions of pairs held where they are: a linear operator on velocities, and what pushes besides.
 
-The drag on beads that do not move on is ``-G v``: ``G``, the sum over pairs of ``zeta P`` with ``P``
-the projector of each friction, is symmetric and never negative. An implicit step solves with it.
+The drag on beads that do not move on is ``-G v``: ``G``, the sum over pairs of ``zeta P`` with
+``P`` the projector of each friction, is symmetric and never negative. An implicit step solves with
+it.
 """
 
 from typing import Any, NamedTuple

@@ -262,7 +262,8 @@ def noisy_boxes(monkeypatch, seed, memory=0.5):
 
     monkeypatch.setattr(experiment, "replayed", replayed)
     monkeypatch.setattr(experiment, "check_dt", lambda system, state: None)
-    monkeypatch.setattr(experiment, "thermal_time", lambda fluid: 1.0)
+    monkeypatch.setattr(experiment, "remembered", lambda *_: experiment.REMEMBERED)
+    monkeypatch.setattr(experiment, "piece", lambda *_: experiment.PIECE)
     flow = Flow.of(dpd.shear(0.3))
     goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=flow)
     state = Boxes(np.zeros((4, 10, 3)), np.zeros(4, np.uint32))

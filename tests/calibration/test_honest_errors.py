@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+import dpdjax as dpd
 from dpdjax.calibration import experiment
+from dpdjax.engine.flow import Flow
 
 EXACT, WHITE, RANDOM, SLOW = 1.1, 0.21, 1.55, ((0.03, 8.0), (0.00077, 150.0))
 """As measured at a 2.5, kT 0.1, gamma 50, a frame of 0.024: variances over a frame of what a box of
@@ -44,12 +46,12 @@ class Stress:
 def measure(monkeypatch):
     """``measure(seed, error)`` of synthetic stresses."""
 
-    def extended(ensemble, fluid, dt):
-        ensemble.steps += experiment.PIECE.steps * ensemble.beads
-        return ensemble.stress.frames(experiment.PIECE.frames)
+    def extended(ensemble, fluid, dt, plan):
+        ensemble.steps += plan.steps * ensemble.beads
+        return ensemble.stress.frames(plan.frames)
 
     def measured(seed, error, fluid=None):
-        goal = SimpleNamespace(name="viscosity", scale=1.0, flow=SimpleNamespace(rate=0.25))
+        goal = SimpleNamespace(name="viscosity", scale=1.0, flow=Flow.of(dpd.shear(0.25)))
         boxes = experiment.Ensemble(
             None, goal, 3.0, SimpleNamespace(position=np.zeros((2, 10, 3))), None, dt=0.01
         )
@@ -58,9 +60,9 @@ def measure(monkeypatch):
 
     monkeypatch.setattr(experiment, "_extend", extended)
     monkeypatch.setattr(experiment, "check_dt", lambda *_: None)
-    monkeypatch.setattr(
-        experiment, "thermal_time", lambda fluid: 0.01 * experiment.PIECE.every * THERMAL
-    )
+    thermal = 0.01 * experiment.PIECE.every * THERMAL
+    monkeypatch.setattr(experiment, "remembered", lambda *_: experiment.REMEMBERED * thermal)
+    monkeypatch.setattr(experiment, "piece", lambda *_: experiment.PIECE)
     monkeypatch.setattr(experiment, "_check_dt", lambda *_: None)
     return measured
 
@@ -89,7 +91,7 @@ def test_length_is_planned():
 def test_warm_flows_are_told(measure, monkeypatch):
     """6 % above kT was an answer without a word."""
     extended = experiment._extend
-    warm = lambda ensemble, fluid, dt: (
+    warm = lambda ensemble, fluid, dt, plan: (
         extended(ensemble, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
     )
     monkeypatch.setattr(experiment, "_extend", warm)

@@ -29,7 +29,7 @@ def synthetic(monkeypatch, seed=0):
     rng = np.random.default_rng(seed)
     powers = {"viscosity": {"gamma": 0.6, "a": 0.2}, "pressure": {"gamma": 0.05, "a": 0.9}}
 
-    def prepare(fluid, goal, key, *, density, side, boxes, dt=None, report=None):
+    def prepare(fluid, goal, key, *, density, side, boxes, dt=None, integrator=None, report=None):
         keys = jax.random.split(key, boxes)
         return SimpleNamespace(
             goal=goal, keys=keys, steps=0, state=SimpleNamespace(position=np.zeros((boxes, 10, 3)))

@@ -272,11 +272,11 @@ def test_answers(in_reduced_units, short_pieces, monkeypatch, answer, system):
     if answer is calibrated:
         # Its frictions are exponentials, equal to rounding: blocks as short as pieces, before that
         # has grown.
-        monkeypatch.setattr(experiment, "REMEMBERED", 1e-9)
+        monkeypatch.setattr(experiment, "remembered", lambda *_: 1e-9)
     (ours, advice), (theirs, due) = answer(system), in_reduced_units(answer)
     if system is HEAVY_AND_COLD:
         assert (ours.value, ours.error, *advice) == pytest.approx(
-            (theirs.value, theirs.error, *due), rel=1e-6
+            (theirs.value, theirs.error, *due), rel=1e-5
         )
     else:
         assert ours.deviation(theirs) < 4
