@@ -1,0 +1,194 @@
+"""What errs with the time step: measures, writes integrators.json, and INTEGRATORS.md from it.
+
+    python tests/physics/integrators.py               # everything, an hour and a half on 2 cores
+    python tests/physics/integrators.py "a 0" grid    # only rooms with one of these in their name
+
+Single precision, as users run; density 3, boxes of 10, thermal units (kT, m, r_c = 1). Rooms may
+run beside each other in processes of their own.
+"""
+
+import dataclasses
+import fcntl
+import json
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import dpdjax as dpd
+from dpdjax.measure.statistics import Estimate, block_average, from_replicas
+from dpdjax.theory import damping_rate
+
+HERE = Path(__file__).parent
+DATA, PAGE = HERE / "integrators.json", HERE / "INTEGRATORS.md"
+KEY, DENSITY, BOX = jax.random.key(2026), 3.0, 10.0
+GAMMAS, REPULSIONS = (4.5, 20.0, 45.0, 90.0, 142.0, 300.0), (0.0, 10.0, 25.0, 75.0)
+STEPS = (0.003, 0.006, 0.01, 0.014, 0.02, 0.028, 0.04, 0.055)
+STATES = ((25.0, 4.5), (25.0, 45.0), (0.0, 20.0), (0.0, 90.0), (25.0, 142.3))
+"""Repulsion and friction; the last is (a 2.5, kT 0.1, gamma 45) in thermal units."""
+SHARES = {"VelocityVerlet": (0.5, 1.0, 1.5, 2.5), "ImplicitDrag": (0.5, 1.0, 2.0, 4.0)}
+"""Time steps, over the suggested one."""
+HOT = 1.06
+VERLET = dpd.integrators.VelocityVerlet()
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Unlimited(dpd.integrators.Integrator):
+    """An integrator whose steps are not refused: here those that are too long are looked at."""
+
+    of: dpd.integrators.Integrator
+
+    @property
+    def kinds(self):
+        return self.of.kinds
+
+    def step(self, system, state, key, tally):
+        return self.of.step(system, state, key, tally)
+
+    def dt_limits(self, *_):
+        return []
+
+
+def fluid(a, gamma):
+    return dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=a, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)],
+        kT=1.0,
+    )
+
+
+def thermometers(fluid, state):
+    parts = dpd.observe.pressure_tensor(fluid, state, ("kinetic", "conservative"))
+    drag = dpd.observe.pressure_tensor(fluid, state, ("drag",))
+    return {
+        "T": dpd.observe.temperature(fluid, state),
+        "p": jnp.trace(parts) / 3.0,
+        "p drag": jnp.trace(drag) / 3.0,
+    }
+
+
+def structure(fluid, state):
+    """Configurational temperature, 0 without a potential; and ``sum zeta r^2 e_x^2 e_y^2 / V``,
+    which counts overlaps."""
+    return {
+        "Tc": jnp.nan_to_num(dpd.observe.configurational_temperature(fluid, state)),
+        "overlap": dpd.observe.instantaneous_viscosity(fluid, state),
+    }
+
+
+def settled(a, gamma):
+    """A box in equilibrium, which does not depend on the drag."""
+    matter = fluid(a, gamma)
+    state = dpd.initial_state(matter, KEY, box=BOX, density=DENSITY, skin=0.25, dt=0.01)
+    weak = fluid(a, 4.5)
+    run = dpd.run(weak, state, KEY, 0.005, dpd.Plan(200, 10), progress=False)
+    return matter, run.final.restarted()
+
+
+def go(matter, state, dt, how, duration, between, observe, flow=None):
+    """A run of a duration, frames so far apart."""
+    every = max(1, round(between / dt))
+    plan = dpd.Plan(max(2, round(duration / dt / every)), every)
+    how = Unlimited(how)
+    return dpd.run(
+        matter, state, KEY, dt, plan, flow, observe=observe, integrator=how, progress=False
+    )
+
+
+def at_rest(matter, state, dt, how, duration, between):
+    observe = [dpd.mean(thermometers), structure]
+    settled = go(matter, state, dt, how, 2.0, between, observe).final
+    return go(matter, settled, dt, how, duration, between, observe)
+
+
+def means(run, names=("T", "p", "p drag", "Tc", "overlap")):
+    return {name: pair(block_average(np.asarray(run.frames[name], float), 16)) for name in names}
+
+
+def pair(estimate):
+    return [estimate.value, estimate.error]
+
+
+def grid_of(a):
+    """Velocity-Verlet over frictions and steps, 40 thermal times each."""
+    rows = []
+    for gamma in GAMMAS:
+        matter, state = settled(a, gamma)
+        for dt in STEPS:
+            row = {"a": a, "gamma": gamma, "dt": dt}
+            try:
+                run = at_rest(matter, state, dt, VERLET, 40.0, 4 * dt)
+            except dpd.RunError as error:
+                rows.append(row | {"failed": str(error)})
+                break
+            rows.append(row | means(run))
+            state = run.final.restarted()
+            if rows[-1]["T"][0] > HOT:
+                break
+    return rows
+
+
+def state_of(a, gamma):
+    """Both integrators at one state, at rest and in shear."""
+    matter, state = settled(a, gamma)
+    rows = []
+    for how in (VERLET, dpd.integrators.ImplicitDrag()):
+        name = type(how).__name__
+        suggested = dpd.suggest_dt(matter, DENSITY, integrator=how)
+        for share in SHARES[name]:
+            rows.append({"integrator": name, "share": share, "dt": share * suggested})
+            rows[-1] |= one_step(matter, state, share * suggested, how)
+            print(rows[-1], flush=True)
+    return rows
+
+
+def one_step(matter, state, dt, how):
+    """All that is told of one step: at rest, of a diffusion, and sheared at a rate of 0.5."""
+    try:
+        rest = at_rest(matter, state, dt, how, 80.0, 0.05)
+        walk = go(matter, rest.final, dt, how, 40.0, 0.4, dpd.observe.positions)
+        flow = dpd.shear(0.5)
+        start = go(matter, walk.final, dt, how, 5.0, 0.1, dpd.observe.shear_record, flow).final
+        shear = go(matter, start, dt, how, 120.0, 0.1, dpd.observe.shear_record, flow)
+    except dpd.RunError as error:
+        return {"failed": str(error)}
+    viscosity = dpd.shear_viscosity(shear, skip=0.0, blocks=32)
+    return means(rest) | {"D": pair(dpd.diffusion(walk)), "viscosity": pair(viscosity)}
+
+
+ROOMS = {f"grid a {a:g}": (grid_of, a) for a in REPULSIONS} | {
+    f"state a {a:g}, gamma {gamma:g}": (state_of, a, gamma) for a, gamma in STATES
+}
+
+
+def main(wanted):
+    for name, (room, *numbers) in ROOMS.items():
+        if wanted and not any(part in name for part in wanted):
+            continue
+        began = time.monotonic()
+        rows = room(*numbers)
+        store(name, {"rows": rows, "seconds": round(time.monotonic() - began)})
+        print(name, "done", flush=True)
+
+
+def store(name, result):
+    """Keep a room's result, and write the page; other rooms may do so at the same time."""
+    with open(HERE / ".integrators.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        results = json.loads(DATA.read_text()) if DATA.exists() else {}
+        results[name] = result
+        DATA.write_text(json.dumps(results, indent=1) + "\n")
+        PAGE.write_text(page(results))
+
+
+def page(results) -> str:
+    lines = [__doc__.splitlines()[0].replace("measures, writes", "from")]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
