@@ -3,6 +3,7 @@
 from dpdjax.engine.forces import EVERYTHING, UNDAMPED, forces_on, update_lists
 from dpdjax.engine.implicit import ImplicitDrag, damped
 from dpdjax.engine.integrator import Drift, Integrator, VelocityVerlet, drifted, settled
+from dpdjax.engine.multistep import MultipleTimeStep
 from dpdjax.model.beads import inertias, masses
 from dpdjax.pairs.sums import Forces
 
@@ -17,6 +18,7 @@ __all__ = [
     "inertias",
     "Integrator",
     "masses",
+    "MultipleTimeStep",
     "settled",
     "UNDAMPED",
     "update_lists",

@@ -128,7 +128,7 @@ def begun(system: System, state: State, key) -> State:
 
     By a program of its own, which runs of one fluid that record other things share.
     """
-    is_known = np.all(np.asarray(state.started) == system.integrator.mark)
+    is_known = np.all(np.asarray(state.started) == system.integrator.mark_of(system.fluid))
     return state if is_known else _begun(system, state, key)
 
 

@@ -38,6 +38,7 @@ def forces_on(
     key: jax.Array,
     tally: bool,
     kinds: tuple[str, ...] = EVERYTHING,
+    only: tuple[int, ...] | None = None,
 ) -> Forces:
     """All forces at the state's positions, with drag from ``velocity`` (n, 3) and from the angular
     velocities of the state.
@@ -48,12 +49,14 @@ def forces_on(
         tally: whether with the sums over pairs (static); without, they are None.
         kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
             but drag do not depend on the velocity.
+        only: places in ``fluid.interactions`` of those that act (static); all by default.
 
     Returns :class:`Forces`; those of two kinds are added by ``+``.
     """
     rate = system.flow.rate_at(state.time)
     with jax.named_scope("forces"):
-        total = pair_force(system.fluid, state, velocity, rate, key, system.dt, tally, kinds)
+        how = tally, kinds, only
+        total = pair_force(system.fluid, state, velocity, rate, key, system.dt, *how)
         # Whatever else acts, as bonds would, is another part, and adds up here.
         if DRIVEN in kinds:
             total = total + _driven(system, state)

@@ -78,11 +78,11 @@ class ImplicitDrag(Integrator):
         return damped(system, kicked, key, tally, self.tolerance)
 
 
-def damped(system, state: State, key: jax.Array, tally: bool, tolerance) -> State:
+def damped(system, state: State, key: jax.Array, tally: bool, tolerance, channels=None) -> State:
     """The state with its velocities changed by the drag and the noise of a step; ``tally``
-    (static): their virials added to its own."""
+    (static): their virials added to its own. ``channels`` as for :func:`frictions_of`."""
     fluid, dt = system.fluid, system.dt
-    frictions = frictions_of(fluid, state, system.flow.rate_at(state.time), key, dt)
+    frictions = frictions_of(fluid, state, system.flow.rate_at(state.time), key, dt, channels)
     before, mass = _motion(state), _inertia(fluid, state)
     operator = lambda v: jax.tree.map(
         lambda m, v, f: m * v + 0.5 * dt * f, mass, v, frictions.drag(v)
@@ -112,9 +112,7 @@ def _inertia(fluid, state: State) -> Motion:
 def _dot_of(state: State) -> Callable:
     """The scalar product of two motions, summed in the order of the ids: the order in memory is not
     to show."""
-    by_id = lambda leaf: leaf
-    if order.is_kept(state):
-        by_id = lambda leaf: order.by_id(state, leaf)
+    by_id = order.by_id(state) if order.is_kept(state) else lambda rows: rows
     product = lambda a, b: jnp.sum(by_id(jnp.sum(a * b, axis=1)))
     return lambda a, b: sum(jax.tree.leaves(jax.tree.map(product, a, b)))
 

@@ -41,13 +41,14 @@ class Integrator(Part):
     def start(self, system, state: State, key: jax.Array) -> State:
         """The state with its force known, computed now if it was not."""
 
-        is_known = state.started == self.mark
+        mark = self.mark_of(system.fluid)
+        is_known = state.started == mark
 
         def compute(state):
             updated = update_lists(state)
-            forces = forces_on(system, updated, updated.velocity, key, True, self.kinds)
+            forces = self.forces(system, updated, key, True)
             known = dataclasses.replace(
-                with_forces(updated, forces), started=jnp.full_like(state.started, self.mark)
+                with_forces(updated, forces), started=jnp.full_like(state.started, mark)
             )
             return jax.tree.map(lambda old, new: jnp.where(is_known, old, new), state, known)
 
@@ -55,8 +56,11 @@ class Integrator(Part):
         # branch.
         return jax.lax.cond(any_in_batch(~is_known), compute, lambda state: state, state)
 
-    @property
-    def mark(self) -> int:
+    def forces(self, system, state: State, key: jax.Array, tally: bool) -> Forces:
+        """The force of a state between two steps, as :meth:`start` computes it."""
+        return forces_on(system, state, state.velocity, key, tally, self.kinds)
+
+    def mark_of(self, fluid: Fluid) -> int:
         """What a state that this integrator can go on with has in ``started``: its kinds of force,
         as bits."""
         return sum(1 << EVERYTHING.index(kind) for kind in self.kinds)
@@ -140,14 +144,20 @@ def drifted(system, state: State, lam: ArrayLike) -> tuple[State, Drift]:
     dt, mass, velocity = system.dt, masses(system.fluid, state)[None], state.velocity.T
     kick = dt * state.force.T / mass
     with jax.named_scope("integration"):
-        strain = system.flow.strain_in(state.time, dt)
-        move = dt * velocity + 0.5 * dt * kick
-        carried = velocity - _along_x(strain / dt * move[1])
-        moved = update_lists(moved_on(state, move, strain, dt))
+        moved, carried = carried_along(system, state, velocity, dt * velocity + 0.5 * dt * kick)
+        moved = update_lists(moved)
     if state.rotation is None:
         return moved, Drift(carried, kick, None)
     moved, spin_kick = rotation_drifted(system.fluid, moved, dt, lam)
     return moved, Drift(carried, kick, spin_kick)
+
+
+def carried_along(system, state: State, velocity, move) -> tuple[State, Any]:
+    """The beads moved by ``move`` (3, n) in a step, with the flow, their lists as they were; and
+    ``velocity`` (3, n) less what the flow gains where they have moved to."""
+    strain = system.flow.strain_in(state.time, system.dt)
+    carried = velocity - _along_x(strain / system.dt * move[1])
+    return moved_on(state, move, strain, system.dt), carried
 
 
 def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -> State:
@@ -175,12 +185,18 @@ def rotation_drifted(fluid, state: State, dt, lam):
     ``dt T / I`` of the old torque."""
     old = state.rotation
     spin_kick = dt * old.torque / inertias(fluid, state)[:, None]
-    step = rotation_step(old.orientation, dt * (old.velocity + 0.5 * spin_kick))
+    turned = rotation_turned(state, dt * (old.velocity + 0.5 * spin_kick))
+    new = dataclasses.replace(turned.rotation, velocity=old.velocity + lam * spin_kick)
+    return dataclasses.replace(turned, rotation=new), spin_kick
+
+
+def rotation_turned(state: State, angle) -> State:
+    """The state with its spheres turned by small vectors (m, 3) [radian]."""
+    old = state.rotation
+    step = rotation_step(old.orientation, angle)
     orientation, rest = plus(old.orientation, old.orientation_rest, step)
-    new = dataclasses.replace(
-        old, orientation=orientation, orientation_rest=rest, velocity=old.velocity + lam * spin_kick
-    )
-    return dataclasses.replace(state, rotation=new), spin_kick
+    new = dataclasses.replace(old, orientation=orientation, orientation_rest=rest)
+    return dataclasses.replace(state, rotation=new)
 
 
 def rotation_settled(fluid, before: State, moved: State, spin_kick, torque, dt):

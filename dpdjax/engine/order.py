@@ -68,11 +68,12 @@ def in_order_of(state: State, ids) -> State:
     return permuted(state, cells.inverse(state.id)[ids]) if is_kept(state) else state
 
 
-def by_id(state: State, rows):
-    """What each bead has, or each that rotates, in the order of the ids."""
-    if rows.shape[0] == state.n:
-        return rows[cells.inverse(state.id)]
-    return rows[jnp.argsort(state.id[state.rotation.slots])]
+def by_id(state: State):
+    """A function that puts what each bead has, or each that rotates, in the order of the ids."""
+    places = {state.n: jnp.argsort(state.id)}
+    if state.rotation is not None:
+        places.setdefault(state.rotation.m, jnp.argsort(state.id[state.rotation.slots]))
+    return lambda rows: rows[places[rows.shape[0]]]
 
 
 def permuted(state: State, order) -> State:

@@ -190,7 +190,7 @@ def step(
     whose force is not yet known.
     """
     system = System.of(fluid, dt, flow, integrator)
-    if not is_concrete(state.started) or state.started != system.integrator.mark:
+    if not is_concrete(state.started) or state.started != system.integrator.mark_of(fluid):
         check_run(system, state, key)
     system, key = system.as_type(state.position.dtype), prng_key(key)
     state = system.integrator.start(system, state, key)

@@ -48,7 +48,8 @@ class State:
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
         rotation: of the beads that rotate, or None.
-        started: which kinds of force ``force`` consists of, as bits (``Integrator.mark``); a run
+        started: which kinds of force ``force`` consists of, as bits
+            (``Integrator.mark_of``); a run
             with an integrator of other kinds computes it first, as where it is 0.
         status: sticky bits (``dpdjax.engine.status``).
     """

@@ -14,10 +14,11 @@ def interactions_of(fluid: Fluid, state):
 
 
 def pair_force(
-    fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False, kinds=ORIGINS
+    fluid: Fluid, state, velocity, rate, key, dt, tally: bool = False, kinds=ORIGINS, only=None
 ) -> Forces:
     """What pairs do at ``state.position`` and ``velocity`` (n, 3): force on each bead (n, 3), and
-    torque on those that rotate (m, 3); of these ``kinds`` (static).
+    torque on those that rotate (m, 3); of these ``kinds``, and of ``only``
+    these places among the interactions (static).
 
     Noise is that of ``state.step``, angular velocities those of ``state.rotation``. Sums over pairs
     are None unless asked for by ``tally`` (static).
@@ -29,6 +30,8 @@ def pair_force(
     )
     beads = Columns.of(fluid, state, velocity)
     for channel, (interaction, neighbours) in enumerate(interactions_of(fluid, state)):
+        if only is not None and channel not in only:
+            continue
         words = Words.of(key, state.step, channel, beads.id, not interaction.is_central)
         moment = Moment(state.box, rate, dt, words)
         kernel, idx = neighbours.grid.kernel, neighbours.list.idx

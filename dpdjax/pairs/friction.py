@@ -137,13 +137,17 @@ class Frictions(NamedTuple):
         return Motion(sums.net_force(net), torque)
 
 
-def frictions_of(fluid: Fluid, state, rate, key, dt) -> Frictions:
-    """The frictions of all lists at the positions of a state, with the noise of its step."""
+def frictions_of(fluid: Fluid, state, rate, key, dt, channels=None) -> Frictions:
+    """The frictions of all lists at the positions of a state, with the noise of its step.
+
+    ``channels``: of each interaction what keys its noise, by default its place in the fluid.
+    """
+    channels = range(len(fluid.interactions)) if channels is None else channels
     beads = Columns.of(fluid, state, jnp.zeros_like(state.velocity))
     if beads.spin is not None:
         beads = beads._replace(spin=tuple(map(jnp.zeros_like, beads.spin)))
     held = []
-    for channel, (interaction, neighbours) in enumerate(interactions_of(fluid, state)):
+    for channel, (interaction, neighbours) in zip(channels, interactions_of(fluid, state)):
         if interaction.drag:
             words = Words.of(key, state.step, channel, beads.id, not interaction.is_central)
             moment = Moment(state.box, rate, dt, words)

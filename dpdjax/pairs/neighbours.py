@@ -305,6 +305,12 @@ def _with_error(neighbour_list, code):
     )
 
 
+def with_overflow(neighbours: Neighbours, code) -> Neighbours:
+    """A list that has overflowed as another has besides."""
+    error = neighbours.list.error.code | code
+    return dataclasses.replace(neighbours, list=_with_error(neighbours.list, error))
+
+
 def overflow(neighbours: Neighbours, members=...) -> int:
     """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of
     :meth:`Grid.grown`."""

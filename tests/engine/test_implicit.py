@@ -172,12 +172,13 @@ def test_gradients_equal_central_differences(water, sheared_water, key):
 def test_a_force_of_other_kinds_is_computed_anew(water, sheared_water, key):
     """The force of a state is that of one integrator; another does not go on with it."""
     verlet, implicit_ = dpd.integrators.VelocityVerlet(), IMPLICIT
-    assert verlet.mark != implicit_.mark and sheared_water.started == verlet.mark
+    mark = verlet.mark_of(water), implicit_.mark_of(water)
+    assert mark[0] != mark[1] and sheared_water.started == mark[0]
     go = lambda state, how: (
         dpd.run(water, state, key, 0.01, dpd.Plan(1, 2), integrator=how, progress=False).final
     )
     went = go(sheared_water, implicit_)
-    assert went.started == implicit_.mark
+    assert went.started == mark[1]
     np.testing.assert_array_equal(went.velocity, go(sheared_water.restarted(), implicit_).velocity)
     np.testing.assert_array_equal(go(went, verlet).velocity, go(went.restarted(), verlet).velocity)
 
