@@ -37,9 +37,9 @@ class MultipleTimeStep(Integrator):
     | v += dt/2 f, of all that is not stiff                          | ``half``                |
     | r += dt v; beads between which something is stiff by ``inner`` | :func:`carried_along`,  |
     | steps of velocity-Verlet in the potentials between them        | ``_in_short_steps``     |
-    | drag and noise between them, by the midpoint rule              | :func:`damped`          |
     | f' of all that is not stiff, its drag of the velocity now      | :func:`forces_on`       |
     | v += dt/2 f'                                                   | ``_kicked``             |
+    | drag and noise between the beads of before, midpoint rule      | :func:`damped`          |
 
     The solvent, which costs most, has its forces once in a step that suits it. The few pairs of
     colloids, whose contacts and lubrication would ask for a step a tenth as long, are looked at as
@@ -69,13 +69,11 @@ class MultipleTimeStep(Integrator):
         velocity = part.put(carried.T, own.velocity)
         moved = part.placed(dataclasses.replace(moved, velocity=velocity), own)
         moved = update_lists(_turned(moved, dt))
-        moved, more = self._rubbed(system, part, moved, key, tally)
         forces = forces_on(
             system, moved, moved.velocity, key, tally, self.kinds, self.slow_of(fluid)
         )
-        if tally:
-            forces = forces._replace(tally=forces.tally + more)
-        return _kicked(fluid, moved, forces, 0.5 * dt)
+        moved = _kicked(fluid, moved, forces, 0.5 * dt)
+        return self._rubbed(system, part, moved, key, tally)
 
     def _in_short_steps(self, system, part: Part, state: State) -> State:
         """The beads of the part a step later, moved by the flow and the potentials between them."""
@@ -93,20 +91,21 @@ class MultipleTimeStep(Integrator):
         start = with_forces(start, among_forces(start))
         return jax.lax.scan(short, start, length=self.inner)[0]
 
-    def _rubbed(self, system, part: Part, state: State, key, tally: bool):
+    def _rubbed(self, system, part: Part, state: State, key, tally: bool) -> State:
         """The state with the velocities of the part changed by the drag and the noise of a step,
-        and the sums over its pairs."""
+        and with the sums over its pairs."""
         among = dataclasses.replace(system, fluid=part.fluid(system.fluid))
-        own, sums = part.state(state), None
+        own = part.state(state)
         if tally:
             sums = forces_on(among, own, own.velocity, key, True, (CONSERVATIVE,)).tally
             own = dataclasses.replace(own, tally=sums)
         own = damped(among, own, key, tally, self.tolerance, part.interactions)
         new = {"velocity": part.put(state.velocity, own.velocity), "status": own.status}
         if own.rotation is not None:
-            rotation = dataclasses.replace(own.rotation, begin=state.rotation.begin)
-            new["rotation"] = rotation
-        return dataclasses.replace(state, **new), own.tally if tally else None
+            new["rotation"] = dataclasses.replace(own.rotation, begin=state.rotation.begin)
+        if tally:
+            new["tally"] = state.tally + own.tally
+        return dataclasses.replace(state, **new)
 
     def stiff_of(self, fluid: Fluid) -> tuple[int, ...]:
         """Places of the stiff interactions."""
