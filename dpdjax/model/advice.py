@@ -18,6 +18,7 @@ from dpdjax.model.rates import (
     over,
     pair_frequency,
     repulsion_energy,
+    solvent_of,
     thermal_time,
     worst_cases,
 )
@@ -108,7 +109,8 @@ def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tu
 
 def _errors(numbers, density, error: float) -> tuple[float, float, float, float]:
     """The dt at which each of the errors of :func:`dt_errors` is ``error``."""
-    kT, rate, thermal = float(numbers.kT), damping_rate(numbers, density), thermal_time(numbers)
+    kT, rate = float(numbers.kT), damping_rate(numbers, density)
+    thermal = thermal_time(solvent_of(numbers))
     # Mean-field energies beyond a few hundred kT are those of beads that never come so near.
     repulsion = min(over(repulsion_energy(numbers, density), kT), 250.0)
     shared = HEAT_RATE + HEAT_SHARED * repulsion

@@ -35,6 +35,13 @@ def thermal_time(fluid: Fluid) -> float:
     )
 
 
+def solvent_of(fluid: Fluid) -> Fluid:
+    """The fluid with the interactions between points alone, where there are any."""
+    points = lambda i: all(_largest_radius(fluid, group) == 0 for group in i.groups)
+    among = tuple(i for i in fluid.interactions if points(i))
+    return dataclasses.replace(fluid, interactions=among) if among else fluid
+
+
 def over(number: float, rate: float) -> float:
     """``number / rate``, infinite for a rate of 0: a floor under it would be a number in some
     unit."""

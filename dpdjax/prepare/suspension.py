@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -111,6 +112,7 @@ def suspension(
     density: float | None = None,
     skin: float | None = None,
     dt: float | None = None,
+    integrator: Any = None,
     sheared: bool = True,
     report: Callable[[str], None] | None = print,
     **numbers,
@@ -130,6 +132,7 @@ def suspension(
         spread: standard deviation of the radius over its mean, Gaussian. Masses go as the cube.
         density: solvent beads per volume outside the colloids; 3/r_c^3 by default.
         skin, dt, sheared: as for :func:`dpdjax.initial_state`.
+        integrator: that of the runs to come, whose step it is; by default velocity-Verlet.
         report: told what was made; None for silence.
         **numbers: all that :func:`dpdjax.colloid_fluid` takes: kT, gamma, eta_0, D0, ...
 
@@ -159,7 +162,12 @@ def suspension(
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
     dt = (
-        suggest_dt(fluid, np.asarray(counts) / volume, (size.min(), size.max()))
+        suggest_dt(
+            fluid,
+            np.asarray(counts) / volume,
+            (size.min(), size.max()),
+            integrator=integrator,
+        )
         if dt is None
         else float(dt)
     )
