@@ -155,7 +155,7 @@ def _suspended(parser):
 
 
 def _fluid(parser):
-    _numbers(parser, kT=1.0, suits="drag: temperature error below 0.5 %%")
+    _numbers(parser, kT=1.0, suits="drag: right to 0.5 %%")
     parser.add_argument(
         "--repulsion", type=float, default=25.0, help="a of the soft repulsion (default: 25)"
     )

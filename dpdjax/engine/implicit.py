@@ -95,7 +95,12 @@ def damped(system, state: State, key: jax.Array, tally: bool, tolerance, channel
         new["rotation"] = dataclasses.replace(state.rotation, velocity=after.spin)
     if tally:
         middle = jax.tree.map(lambda v, dv: v + 0.5 * dv, before, change)
-        new["tally"] = state.tally + frictions.tally(middle)
+        sums = frictions.tally(middle)
+        carried = lambda v: jnp.einsum(
+            "na,nb->ab", mass.velocity * v, v, precision=jax.lax.Precision.HIGHEST
+        )
+        half = 0.5 * (carried(before.velocity) - carried(after.velocity))
+        new["tally"] = state.tally + dataclasses.replace(sums, carried=half)
     return dataclasses.replace(state, **new)
 
 

@@ -19,6 +19,7 @@ from dpdjax.pairs.geometry import Columns, Moment, geometry
 from dpdjax.pairs.laws import CONSERVATIVE, DRAG, RANDOM, evaluate
 from dpdjax.pairs.sums import sum_onto_beads
 
+HIGHEST = jax.lax.Precision.HIGHEST
 KINETIC = "kinetic"
 STATIC = (KINETIC, CONSERVATIVE)
 SMOOTH = (*STATIC, DRAG)
@@ -30,7 +31,8 @@ def pressure_tensor(fluid: Fluid, state: State, parts: tuple[str, ...] = SMOOTH)
     """The pressure tensor (3, 3) [energy / volume], positive in compression.
 
     Args:
-        parts: what of it: ``"kinetic"``, ``sum m c c / V`` from peculiar velocities;
+        parts: what of it: ``"kinetic"``, ``sum m c c / V`` from peculiar velocities, the
+            mean over a step where its end changes them at once;
             ``"conservative"``, of all potentials; ``"drag"``, of all frictions, odd under time
             reversal and of mean zero in equilibrium; ``"random"``, that of the noise, wanted where
             the whole flux of momentum is integrated over time.
@@ -54,7 +56,8 @@ def _by_origin(fluid, state) -> dict:
     """The pressure tensor by origin, (3, 3) each: kinetic, conservative, drag, random and what
     terms have names for."""
     weighted = masses(fluid, state)[:, None] * state.velocity
-    kinetic = jnp.einsum("na,nb->ab", weighted, state.velocity) / state.box.volume
+    carried = jnp.einsum("na,nb->ab", weighted, state.velocity, precision=HIGHEST)
+    kinetic = (carried + state.tally.carried) / state.box.volume
     pairs = {origin: virial / state.box.volume for origin, virial in state.tally.virial.items()}
     return {KINETIC: kinetic} | pairs
 

@@ -22,22 +22,30 @@ class Tally:
         energy: potential energy [energy].
         virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first
             axis, the separation along the second. Symmetric where all forces are central.
+        carried: by how much the mean over a step of ``sum m v v``, the momentum that beads carry,
+            is above that of the velocities now (3, 3) [energy]: where drag changes them at the end
+            of a step at once, the half of it; else 0.
     """
 
     energy: Any
     virial: dict[str, Any]
+    carried: Any
 
     @classmethod
     def zero(cls, dtype, origins=ORIGINS) -> "Tally":
-        return cls(jnp.zeros((), dtype), {origin: jnp.zeros((3, 3), dtype) for origin in origins})
+        nothing = jnp.zeros((3, 3), dtype)
+        return cls(jnp.zeros((), dtype), {origin: nothing for origin in origins}, nothing)
 
     def __add__(self, more: "Tally") -> "Tally":
-        return self.plus(more.energy, more.virial)
+        both = self.plus(more.energy, more.virial)
+        return dataclasses.replace(both, carried=self.carried + more.carried)
 
     def plus(self, energy, virial: dict) -> "Tally":
         """With the sums of more pairs, whose virials may be of some of the origins only."""
         return Tally(
-            self.energy + energy, self.virial | {k: self.virial[k] + v for k, v in virial.items()}
+            self.energy + energy,
+            self.virial | {k: self.virial[k] + v for k, v in virial.items()},
+            self.carried,
         )
 
 

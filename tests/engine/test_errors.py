@@ -127,7 +127,7 @@ def test_fewer_than_two_beads(water, key):
 
 
 def test_dt_too_large_for_the_drag(water, fresh, key):
-    with refused(ValueError, "dt 0.5", "too large for the drag", "use dt = 0.0068"):
+    with refused(ValueError, "dt 0.5", "too large for the drag", "use dt = 0.0094"):
         dpd.simulate(water, fresh, key, 0.5, PLAN)
     with refused(ValueError, "dt is -0.01", "above zero"):
         dpd.simulate(water, fresh, key, -0.01, PLAN)
@@ -138,7 +138,7 @@ def test_dt_too_large_for_the_repulsion(water, fresh, key):
         ValueError,
         "dt 0.1 is too large for the conservative force",
         "which allows 0.071",
-        "use dt = 0.0068",
+        "use dt = 0.0094",
     ):
         dpd.simulate(water, fresh, key, 0.1, PLAN)
     singular = dpd.fluid([dpd.term(lambda h, *, q: q / h, q=1.0, reach=1.0)], [drag()], kT=1.0)
