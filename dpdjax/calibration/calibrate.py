@@ -160,8 +160,8 @@ def calibrate(
         branch: ``"upper"`` where the number rises with the parameter, ``"lower"`` where it
             falls: viscosity has a minimum in gamma, and two gammas above it.
         dt: time step; by default ``suggest_dt``, following the drag.
-        integrator: how the boxes move on in time; by default velocity-Verlet, or
-            ``dpd.integrators.ImplicitDrag`` where that covers more time at the same accuracy: at
+        integrator: how the boxes move on in time; by default velocity-Verlet, or where no dt is
+            given ``dpd.integrators.ImplicitDrag`` if that covers more time at the same accuracy: at
             strong drag between beads that hardly repel each other.
         rate: shear rate; by default ``suggest_rate``.
         box: side of each box; by default 10 interaction ranges.

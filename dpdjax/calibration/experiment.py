@@ -122,7 +122,8 @@ def prepare(
             "dpd.pure_solvent(fluid)"
         )
     build_key, noise_key = jax.random.split(key)
-    integrator = cheapest(fluid, density) if integrator is None else integrator
+    if integrator is None:
+        integrator = cheapest(fluid, density) if dt is None else VelocityVerlet()
     step = suggest_dt(fluid, density, integrator=integrator) if dt is None else dt
     skin = suggest_skin(fluid, step)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
@@ -287,9 +288,11 @@ def _refuse_heat(ensemble, fluid, dt, temperature):
 
 
 def _check_dt(system: System, state):
-    """:func:`check_dt` for a batch of boxes, which are alike; a fixed step may not suit the next
-    drag."""
-    check_dt(system, jax.tree.map(lambda leaf: leaf[0], state))
+    """What a run would refuse of the integrator and its step, for a batch of boxes, which are
+    alike; a fixed step may not suit the next drag."""
+    one = jax.tree.map(lambda leaf: leaf[0], state)
+    system.integrator.check(system.fluid, one)
+    check_dt(system, one)
 
 
 def remembered(fluid, density: float) -> float:

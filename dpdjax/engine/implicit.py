@@ -34,8 +34,12 @@ class ImplicitDrag(Integrator):
 
     In mass-weighted velocities, ``A = dt M^-1/2 G M^-1/2 / 2``, the covariance goes from kT to ``kT
     ((1 - A)^2 + 4 A) / (1 + A)^2 = kT``: the Maxwell distribution is kept whatever dt is, and what
-    errs is structure alone. (The self-consistent scheme of Pagonabarraga, Hagen & Frenkel 1998,
-    solved.) It pays where drag is strong: at a step of velocity-Verlet it is three times as dear.
+    errs is what potentials do in so long a step. (The self-consistent scheme of Pagonabarraga,
+    Hagen & Frenkel 1998, solved.) It pays where drag is strong: a step is three times as dear as
+    one of velocity-Verlet.
+
+    Velocities are recorded after the drag of a step; under a steady force f they are short of what
+    carries the beads by ``dt f / 2 m``, which the momentum that they carry is mended for.
 
     By conjugate gradients, preconditioned by the masses, so that each iteration is a sum of forces
     between pairs and momentum is kept to rounding. They go on until the rest is ``tolerance`` of
@@ -79,16 +83,21 @@ class ImplicitDrag(Integrator):
 
 
 def damped(system, state: State, key: jax.Array, tally: bool, tolerance, channels=None) -> State:
-    """The state with its velocities changed by the drag and the noise of a step; ``tally``
-    (static): their virials added to its own. ``channels`` as for :func:`frictions_of`."""
+    """The state with its velocities changed by the drag and the noise of a step.
+
+    Once in a step and after :func:`settled`, whose sums over pairs take the place of all before;
+    ``tally`` (static): those of drag and noise are added to them. ``channels`` as for
+    :func:`frictions_of`.
+    """
     fluid, dt = system.fluid, system.dt
     frictions = frictions_of(fluid, state, system.flow.rate_at(state.time), key, dt, channels)
+    by_id = order.by_id(state) if order.is_kept(state) else lambda rows: rows
     before, mass = _motion(state), _inertia(fluid, state)
     operator = lambda v: jax.tree.map(
         lambda m, v, f: m * v + 0.5 * dt * f, mass, v, frictions.drag(v)
     )
     wanted = jax.tree.map(lambda f: dt * f, frictions.force(before))
-    change, missed = solved(operator, wanted, mass, tolerance, _dot_of(state))
+    change, missed = solved(operator, wanted, mass, tolerance, _dot(by_id))
     after = jax.tree.map(jnp.add, before, change)
     new = {"velocity": after.velocity, "status": state.status | bits.flag(missed, bits.UNSOLVED)}
     if after.spin is not None:
@@ -96,10 +105,10 @@ def damped(system, state: State, key: jax.Array, tally: bool, tolerance, channel
     if tally:
         middle = jax.tree.map(lambda v, dv: v + 0.5 * dv, before, change)
         sums = frictions.tally(middle)
-        carried = lambda v: jnp.einsum(
-            "na,nb->ab", mass.velocity * v, v, precision=jax.lax.Precision.HIGHEST
+        half = 0.5 * (
+            _carried(mass.velocity, before.velocity, by_id)
+            - _carried(mass.velocity, after.velocity, by_id)
         )
-        half = 0.5 * (carried(before.velocity) - carried(after.velocity))
         new["tally"] = state.tally + dataclasses.replace(sums, carried=half)
     return dataclasses.replace(state, **new)
 
@@ -114,12 +123,17 @@ def _inertia(fluid, state: State) -> Motion:
     return Motion(masses(fluid, state)[:, None], spin)
 
 
-def _dot_of(state: State) -> Callable:
+def _dot(by_id: Callable) -> Callable:
     """The scalar product of two motions, summed in the order of the ids: the order in memory is not
     to show."""
-    by_id = order.by_id(state) if order.is_kept(state) else lambda rows: rows
     product = lambda a, b: jnp.sum(by_id(jnp.sum(a * b, axis=1)))
     return lambda a, b: sum(jax.tree.leaves(jax.tree.map(product, a, b)))
+
+
+def _carried(mass, velocity, by_id: Callable):
+    """``sum m v v`` (3, 3), in that order too."""
+    v = by_id(velocity)
+    return jnp.einsum("na,nb->ab", by_id(mass) * v, v, precision=jax.lax.Precision.HIGHEST)
 
 
 def solved(operator: Callable, wanted, mass, tolerance, dot: Callable):

@@ -28,7 +28,8 @@ class Integrator(Part):
     :func:`settled` are the parts.
 
     Attributes:
-        kinds: the kinds of force that the force of a state consists of between two steps.
+        kinds: the kinds of force that the force of a state consists of between two steps. One
+            whose force lacks some interactions too says so in :meth:`forces` and :meth:`mark_of`.
     """
 
     kinds: ClassVar[tuple[str, ...]] = EVERYTHING

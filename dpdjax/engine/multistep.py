@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 
+from dpdjax.engine.deformation import Shear
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
 from dpdjax.engine.implicit import damped
@@ -77,7 +78,10 @@ class MultipleTimeStep(Integrator):
 
     def _in_short_steps(self, system, part: Part, state: State) -> State:
         """The beads of the part a step later, moved by the flow and the potentials between them."""
-        dt, flow = system.dt / self.inner, Flow(system.flow.deformation)
+        deformation, dt = system.flow.deformation, system.dt / self.inner
+        # At one rate: short strains are to add up to that of the long step.
+        rate = system.flow.strain_in(state.time, system.dt) / system.dt
+        flow = Flow(Shear(rate)) if deformation.deforms else Flow()
         among = System(part.fluid(system.fluid), dt, flow, self)
         among_forces = lambda own: forces_on(
             among, own, own.velocity, jax.random.key(0), False, (CONSERVATIVE,)
@@ -131,7 +135,11 @@ class MultipleTimeStep(Integrator):
     def check(self, fluid: Fluid, state: State) -> None:
         """Raise ValueError where nothing is stiff, or the noise of what is does not follow from its
         drag."""
-        stiff = self.stiff_of(fluid)
+        stiff, count = self.stiff_of(fluid), len(fluid.interactions)
+        if len(set(stiff)) < len(stiff) or not all(k in range(count) for k in stiff):
+            raise ValueError(
+                f"MultipleTimeStep: stiff is {stiff}; give each place once, of 0 to {count - 1}"
+            )
         if not stiff:
             raise ValueError(
                 "MultipleTimeStep: no interaction is between beads with radii; name the stiff "
@@ -144,10 +152,28 @@ class MultipleTimeStep(Integrator):
             )
 
     def dt_limits(self, fluid, density, sizes):
-        """Those of the solvent; contacts have their short steps, and lubrication is held."""
-        limits = dict(super().dt_limits(fluid, density, sizes))
-        limits.pop(advice.LUBRICATION)
-        return list((limits | {advice.CONTACT: self.inner * limits[advice.CONTACT]}).items())
+        """Those of what is slow; of what is stiff the potentials have their short steps, and drag
+        is held."""
+        slow, stiff = self._apart(fluid)
+        limits = super().dt_limits(slow, density, sizes) if slow.interactions else []
+        kept = advice.REPULSION, advice.CONTACT
+        return limits + [
+            (f"{name}, in short steps", self.inner * limit)
+            for name, limit in super().dt_limits(stiff, density, sizes)
+            if name in kept
+        ]
+
+    def dt_errors(self, fluid, density, error=advice.ERROR):
+        """Those of velocity-Verlet for what is slow."""
+        slow, _ = self._apart(fluid)
+        return super().dt_errors(slow, density, error) if slow.interactions else []
+
+    def _apart(self, fluid: Fluid) -> tuple[Fluid, Fluid]:
+        """The fluid with the slow interactions alone, and with the stiff ones."""
+        among = lambda places: dataclasses.replace(
+            fluid, interactions=tuple(fluid.interactions[k] for k in places)
+        )
+        return among(self.slow_of(fluid)), among(self.stiff_of(fluid))
 
 
 def _torque(state: State):

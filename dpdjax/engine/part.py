@@ -24,8 +24,11 @@ class Part(NamedTuple):
 
     @classmethod
     def of(cls, state: State, interactions: tuple[int, ...]) -> "Part":
-        """The beads that interactions act between, and those that lie among them."""
+        """The beads that interactions act between, and those that lie among them; with all that
+        rotate, where some do."""
         groups = [g for k in interactions for g in state.neighbours[k].grid.groups]
+        if state.rotation is not None:
+            groups.append((state.rotation.slots.start, state.rotation.slots.stop))
         return cls(interactions, min(a for a, _ in groups), max(b for _, b in groups))
 
     def fluid(self, fluid):

@@ -72,8 +72,8 @@ def check_kinds(system: System, state):
         cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
         raise TypeError(f"state is a {type(state).__name__}; {cure}")
     wanted = (
-        "dpd.integrators.VelocityVerlet(), an object of a class derived from "
-        "dpd.integrators.Integrator"
+        "dpd.integrators.VelocityVerlet(), another of dpd.integrators, an object of a class "
+        "derived from dpd.integrators.Integrator"
     )
     check_part(system.integrator, (Integrator,), "integrator", wanted)
 

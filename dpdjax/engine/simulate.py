@@ -187,7 +187,7 @@ def step(
     list that overflowed.
 
     Arguments as for :func:`simulate`. What cannot run is refused at the first step of a state,
-    whose force is not yet known.
+    whose force is not yet known, or known to another integrator.
     """
     system = System.of(fluid, dt, flow, integrator)
     if not is_concrete(state.started) or state.started != system.integrator.mark_of(fluid):

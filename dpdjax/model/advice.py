@@ -17,7 +17,7 @@ from dpdjax.model.rates import (
     network_rate,
     over,
     pair_frequency,
-    repulsion_energy,
+    repulsion_energies,
     solvent_of,
     thermal_time,
     worst_cases,
@@ -112,15 +112,16 @@ def _errors(numbers, density, error: float) -> tuple[float, float, float, float]
     kT, rate = float(numbers.kT), damping_rate(numbers, density)
     thermal = thermal_time(solvent_of(numbers))
     # Mean-field energies beyond a few hundred kT are those of beads that never come so near.
-    repulsion = min(over(repulsion_energy(numbers, density), kT), 250.0)
-    shared = HEAT_RATE + HEAT_SHARED * repulsion
+    energies = [min(over(u, kT), 250.0) for u in repulsion_energies(numbers, density)]
+    hard, soft = max(energies, default=0.0), min(energies, default=0.0)
+    shared = HEAT_RATE + HEAT_SHARED * soft
     # Without a temperature there is no thermal unit, and beads at rest are not heated.
     heated = thermal + over(shared, rate) if math.isfinite(thermal) else math.inf
     return (
         error / HEAT * heated,
-        math.sqrt(error / (STIFF + STIFFER * repulsion)) * thermal,
+        math.sqrt(error / (STIFF + STIFFER * hard)) * thermal,
         over((error / FREEZE) ** (1.0 / FREEZE_POWER), rate),
-        over(error / THIN * (1.0 + repulsion / THICK), rate),
+        over(error / THIN * (1.0 + soft / THICK), rate),
     )
 
 

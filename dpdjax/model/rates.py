@@ -98,9 +98,9 @@ def kinetic_theory_viscosity(fluid: Fluid, density: float) -> float:
     )
 
 
-def repulsion_energy(fluid: Fluid, density) -> float:
-    """Mean-field repulsion of a solvent bead, ``density`` times the integral of the potentials, at
-    least 0 [energy]."""
+def repulsion_energies(fluid: Fluid, density) -> list[float]:
+    """Mean-field repulsion of the beads of each group, ``density`` times the integral of the
+    potentials within it, at least 0 [energy]."""
     densities = _densities(fluid, density)
     within = [
         i
@@ -112,7 +112,12 @@ def repulsion_energy(fluid: Fluid, density) -> float:
         * sum(_volume_integral(fluid, i, t) for t in i.conservative)
         for i in within
     ]
-    return max([0.0, *map(float, energies)])
+    return [max(0.0, float(energy)) for energy in energies]
+
+
+def repulsion_energy(fluid: Fluid, density) -> float:
+    """The largest of :func:`repulsion_energies`, 0 of none [energy]."""
+    return max(repulsion_energies(fluid, density), default=0.0)
 
 
 def pair_frequency(

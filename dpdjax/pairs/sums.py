@@ -22,9 +22,9 @@ class Tally:
         energy: potential energy [energy].
         virial: sum of ``F_ij r_ij`` by origin, (3, 3) each [energy]: the force along the first
             axis, the separation along the second. Symmetric where all forces are central.
-        carried: by how much the mean over a step of ``sum m v v``, the momentum that beads carry,
-            is above that of the velocities now (3, 3) [energy]: where drag changes them at the end
-            of a step at once, the half of it; else 0.
+        carried: half of ``sum m v v`` before the drag of a step changes velocities at once, less
+            that after it (3, 3) [energy]; it belongs to the kinetic stress. 0 where velocities
+            change with the forces.
     """
 
     energy: Any

@@ -1,4 +1,5 @@
-"""Drag and noise by the implicit midpoint rule: the operator, its solution, what it leaves alone."""
+"""Drag and noise by the implicit midpoint rule: the operator, its solution, what it leaves
+alone."""
 
 import dataclasses
 

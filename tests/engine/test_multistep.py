@@ -134,6 +134,10 @@ def test_what_it_cannot_run_is_told(water, sheared_water, marbled, settled_marbl
     how = dpd.integrators.MultipleTimeStep()
     with pytest.raises(ValueError, match="no interaction is between beads with radii"):
         dpd.simulate(water, sheared_water, key, 0.01, dpd.Plan(1), integrator=how)
+    for places in ((-1,), (2, 2), (3,)):
+        twice = dpd.integrators.MultipleTimeStep(stiff=places)
+        with pytest.raises(ValueError, match="stiff is .*; give each place once, of 0 to 2"):
+            dpd.simulate(marbled.fluid, settled_marbles, key, 0.001, dpd.Plan(1), integrator=twice)
 
 
 def test_the_step_is_that_of_the_solvent():
@@ -146,6 +150,9 @@ def test_the_step_is_that_of_the_solvent():
         if name.startswith("contact")
     )
     assert contact(16) == pytest.approx(4 * contact(4))
+    # Stiff are those that are named: lubrication of others limits the step as ever.
+    none_held = dpd.integrators.MultipleTimeStep(stiff=(0,)).dt_limits(fluid, density, (1, 1))
+    assert any(name.startswith("lubrication") for name, _ in none_held)
 
 
 def test_all_interactions_may_be_stiff(water, sheared_water, key):

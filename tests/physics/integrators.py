@@ -196,8 +196,8 @@ and writes this page from `integrators.json`.
   potentials; `p drag`: the mean of the drag's part, which is 0 in equilibrium. Velocity-Verlet has
   its drag from the velocity before a step, so that this part errs in first order of dt: it belongs
   to no pressure.
-- `overlap`: `sum zeta r^2 e_x^2 e_y^2 / V`, what beads overlap by; at a = 0 exactly `2 pi gamma rho^2
-  / 1575`, and told as its error, per cent.
+- `overlap`: `sum zeta r^2 e_x^2 e_y^2 / V`, what beads overlap by; at a = 0 exactly `2 pi gamma
+  rho^2 / 1575`, and told as its error, per cent.
 - `D`: of this box. `viscosity`: at a shear rate of 0.5.
 - `share`: dt over what `dpd.suggest_dt` says, which is to keep T, Tc and overlap right to 0.5 %.
 """
