@@ -92,7 +92,7 @@ def test_warm_flows_are_told(measure, monkeypatch):
     """6 % above kT was an answer without a word."""
     extended = experiment._extend
     warm = lambda ensemble, fluid, dt, plan: (
-        extended(ensemble, fluid, dt) | {"temperature": np.full((2, 25), 0.106)}
+        extended(ensemble, fluid, dt, plan) | {"temperature": np.full((2, 25), 0.106)}
     )
     monkeypatch.setattr(experiment, "_extend", warm)
     with pytest.warns(

@@ -476,7 +476,9 @@ def test_the_static_pressure_has_every_potential_and_the_drag_every_friction(col
     one = lambda k: jnp.full((3, 3), 10.0**k)
     origins = ("conservative", "drag", "random", "contact", "colloid", "lubrication")
     state = SimpleNamespace(
-        tally=SimpleNamespace(virial={origin: one(k) for k, origin in enumerate(origins)}),
+        tally=SimpleNamespace(
+            virial={origin: one(k) for k, origin in enumerate(origins)}, carried=0.0
+        ),
         box=SimpleNamespace(volume=1.0),
         velocity=jnp.zeros((2, 3)),
         species=jnp.array([0, 1]),
