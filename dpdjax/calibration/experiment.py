@@ -138,9 +138,9 @@ def prepare(
     return ensemble
 
 
-COST = 3.0
+COST = 4.0
 """A step of :class:`ImplicitDrag` in units of one of velocity-Verlet (measured:
-tests/physics/INTEGRATORS.md)."""
+tests/benchmarks/STEPS.md)."""
 
 
 def cheapest(fluid, density: float) -> Integrator:

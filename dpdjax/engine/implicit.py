@@ -35,7 +35,7 @@ class ImplicitDrag(Integrator):
     In mass-weighted velocities, ``A = dt M^-1/2 G M^-1/2 / 2``, the covariance goes from kT to ``kT
     ((1 - A)^2 + 4 A) / (1 + A)^2 = kT``: the Maxwell distribution is kept whatever dt is, and what
     errs is what potentials do in so long a step. (The self-consistent scheme of Pagonabarraga,
-    Hagen & Frenkel 1998, solved.) It pays where drag is strong: a step is three times as dear as
+    Hagen & Frenkel 1998, solved.) It pays where drag is strong: a step is four times as dear as
     one of velocity-Verlet.
 
     Velocities are recorded after the drag of a step; under a steady force f they are short of what
