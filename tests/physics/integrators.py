@@ -12,6 +12,7 @@ import dataclasses
 import fcntl
 import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -178,7 +179,7 @@ def main(wanted):
 
 def store(name, result):
     """Keep a room's result, and write the page; other rooms may do so at the same time."""
-    with open(HERE / ".integrators.lock", "w") as lock:
+    with open(Path(tempfile.gettempdir()) / "dpdjax-integrators.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         results = json.loads(DATA.read_text()) if DATA.exists() else {}
         results[name] = result
