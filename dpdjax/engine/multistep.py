@@ -82,7 +82,7 @@ class MultipleTimeStep(Integrator):
         # At one rate: short strains are to add up to that of the long step.
         rate = system.flow.strain_in(state.time, system.dt) / system.dt
         flow = Flow(Shear(rate)) if deformation.deforms else Flow()
-        among = System(part.fluid(system.fluid), dt, flow, self)
+        among = System(system.fluid.only(part.interactions), dt, flow, self)
         among_forces = lambda own: forces_on(
             among, own, own.velocity, jax.random.key(0), False, (CONSERVATIVE,)
         )
@@ -98,7 +98,7 @@ class MultipleTimeStep(Integrator):
     def _rubbed(self, system, part: Part, state: State, key, tally: bool) -> State:
         """The state with the velocities of the part changed by the drag and the noise of a step,
         and with the sums over its pairs."""
-        among = dataclasses.replace(system, fluid=part.fluid(system.fluid))
+        among = dataclasses.replace(system, fluid=system.fluid.only(part.interactions))
         own = part.state(state)
         if tally:
             sums = forces_on(among, own, own.velocity, key, True, (CONSERVATIVE,)).tally
@@ -170,10 +170,7 @@ class MultipleTimeStep(Integrator):
 
     def _apart(self, fluid: Fluid) -> tuple[Fluid, Fluid]:
         """The fluid with the slow interactions alone, and with the stiff ones."""
-        among = lambda places: dataclasses.replace(
-            fluid, interactions=tuple(fluid.interactions[k] for k in places)
-        )
-        return among(self.slow_of(fluid)), among(self.stiff_of(fluid))
+        return fluid.only(self.slow_of(fluid)), fluid.only(self.stiff_of(fluid))
 
 
 def _torque(state: State):

@@ -31,11 +31,6 @@ class Part(NamedTuple):
             groups.append((state.rotation.slots.start, state.rotation.slots.stop))
         return cls(interactions, min(a for a, _ in groups), max(b for _, b in groups))
 
-    def fluid(self, fluid):
-        """The fluid with these interactions alone."""
-        interactions = tuple(fluid.interactions[k] for k in self.interactions)
-        return dataclasses.replace(fluid, interactions=interactions)
-
     def state(self, state: State) -> State:
         """The beads of the part, numbered from 0, with the lists of its interactions."""
         beads = jax.tree.map(lambda rows: rows[self.begin : self.end], state.beads)

@@ -90,6 +90,12 @@ class Fluid:
             title, summary.laws_of(self), ("species", "law", "numbers", "energies")
         )
 
+    def only(self, places: Sequence[int]) -> "Fluid":
+        """The same matter with some of its interactions alone, by their places."""
+        return dataclasses.replace(
+            self, interactions=tuple(self.interactions[place] for place in places)
+        )
+
     @property
     def species(self) -> int:
         return len(self.radius)

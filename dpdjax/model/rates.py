@@ -37,9 +37,9 @@ def thermal_time(fluid: Fluid) -> float:
 
 def solvent_of(fluid: Fluid) -> Fluid:
     """The fluid with the interactions between points alone, where there are any."""
-    points = lambda i: all(_largest_radius(fluid, group) == 0 for group in i.groups)
-    among = tuple(i for i in fluid.interactions if points(i))
-    return dataclasses.replace(fluid, interactions=among) if among else fluid
+    is_point = lambda group: _largest_radius(fluid, group) == 0
+    places = [k for k, i in enumerate(fluid.interactions) if all(map(is_point, i.groups))]
+    return fluid.only(places) if places else fluid
 
 
 def over(number: float, rate: float) -> float:

@@ -13,7 +13,7 @@ from dpdjax.model.fluid import Fluid, Interaction
 from dpdjax.model.term import ACROSS, ALONG
 from dpdjax.pairs import sums
 from dpdjax.pairs.forces import interactions_of
-from dpdjax.pairs.geometry import Columns, Moment, Pairs, cross, geometry, spin_of, take
+from dpdjax.pairs.geometry import Columns, Moment, Pairs, geometry, past_each_other, take
 from dpdjax.pairs.laws import (
     DRAG,
     RANDOM,
@@ -116,13 +116,9 @@ class Frictions(NamedTuple):
         approach = sum(e * u for e, u in zip(pairs.e, v))
         if held.across is None:
             return approach, None
-        past = tuple(u - approach * e for u, e in zip(v, pairs.e))
-        if motion.spin is not None:
-            beads = self.beads._replace(spin=tuple(motion.spin[:, k] for k in range(3)))
-            spins = zip(spin_of(beads, i), spin_of(beads, j))
-            arms = tuple(pairs.R_i * a + pairs.R_j * b for a, b in spins)
-            past = tuple(p - c for p, c in zip(past, cross(arms, pairs.e)))
-        return approach, past
+        spin = None if motion.spin is None else tuple(motion.spin[:, k] for k in range(3))
+        beads, radii = self.beads._replace(spin=spin), (pairs.R_i, pairs.R_j)
+        return approach, past_each_other(beads, i, j, pairs.e, v, approach, *radii)
 
     def _onto_beads(self, of_pairs) -> Motion:
         """The sums over all pairs of what acts along and across, by bead."""

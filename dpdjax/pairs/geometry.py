@@ -108,13 +108,7 @@ def pair_geometry(
         take(beads.radius, k) if has else jnp.zeros((), r.dtype) for k, has in zip((i, j), spheres)
     )
     h = r - (R_i + R_j) if any(spheres) else r
-    past = None
-    if across:
-        past = tuple(u - approach * c for u, c in zip((vx, vy, vz), e))
-        if beads.spin is not None:
-            # Surface points lie at -R_i e and R_j e from the centres, and move as omega x arm.
-            both = tuple(R_i * a + R_j * b for a, b in zip(spin_of(beads, i), spin_of(beads, j)))
-            past = tuple(p - c for p, c in zip(past, cross(both, e)))
+    past = past_each_other(beads, i, j, e, (vx, vy, vz), approach, R_i, R_j) if across else None
     return Pairs(
         idx[0],
         idx[1],
@@ -129,6 +123,17 @@ def pair_geometry(
         R_i,
         R_j,
     )
+
+
+def past_each_other(beads: Columns, i, j, e: tuple, v: tuple, approach, R_i, R_j) -> tuple:
+    """Velocity of the surfaces of pairs past each other, by component, from that of their centres
+    ``v`` and its part along ``e``."""
+    past = tuple(u - approach * c for u, c in zip(v, e))
+    if beads.spin is None:
+        return past
+    # Surface points lie at -R_i e and R_j e from the centres, and move as omega x arm.
+    both = tuple(R_i * a + R_j * b for a, b in zip(spin_of(beads, i), spin_of(beads, j)))
+    return tuple(p - c for p, c in zip(past, cross(both, e)))
 
 
 def diagonal_of(words, dtype) -> tuple:
