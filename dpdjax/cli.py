@@ -108,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     steps = "steps of one timed run, medians of five (default: 200, fewer in large boxes)"
     bench.add_argument("--steps", type=int, default=None, help=steps)
+    _moved(bench, "velocity-verlet")
     bench.add_argument(
         "--tangent", action="store_true", help="time the derivative with respect to gamma too"
     )
@@ -152,6 +153,7 @@ def _suspended(parser):
         help="viscosity of the solvent, for lubrication (default: 0.3)",
     )
     parser.add_argument("--rate", type=float, default=0.0, help="shear rate [1/time] (default: 0)")
+    _moved(parser)
 
 
 def _fluid(parser):
@@ -173,6 +175,23 @@ def _numbers(parser, *, kT: float, suits: str):
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
+WAYS = ("velocity-verlet", "implicit-drag", "multiple-time-step")
+
+
+def _moved(parser, default="what covers most time for its cost; with --dt velocity-verlet"):
+    parser.add_argument(
+        "--integrator", choices=WAYS, default=None, help=f"how beads move on (default: {default})"
+    )
+
+
+def _integrator(arguments):
+    """The integrator that is named; None for that of the door."""
+    import dpdjax as dpd
+
+    name = arguments.integrator
+    return name and getattr(dpd.integrators, name.title().replace("-", ""))()
+
+
 def _kept(parser):
     kept = "compile anew; by default compiled programs are kept in the user's folder for caches"
     parser.add_argument("--no-cache", action="store_true", help=kept)
@@ -181,6 +200,7 @@ def _kept(parser):
 def _common(parser):
     _fluid(parser)
     _kept(parser)
+    _moved(parser)
     parser.add_argument(
         "--rate",
         type=float,
@@ -235,6 +255,7 @@ def _calibrate(arguments):
         dt=arguments.dt,
         rate=arguments.rate,
         box=arguments.box,
+        integrator=_integrator(arguments),
         report=_reporter(),
     )
     result = {
@@ -276,6 +297,7 @@ def _viscosity(arguments):
         dt=arguments.dt,
         rate=arguments.rate,
         box=arguments.box,
+        integrator=_integrator(arguments),
         report=_reporter(),
     )
     result = {
@@ -315,23 +337,27 @@ def _run_suspension(arguments) -> dict:
     numbers = {name: getattr(arguments, name) for name in names}
     report = lambda text: print(text, file=sys.stderr, flush=True)
     made = dpd.suspension(
-        key, eta_0=arguments.eta0, sheared=arguments.rate != 0, report=report, **numbers
+        key,
+        eta_0=arguments.eta0,
+        sheared=arguments.rate != 0,
+        integrator=_integrator(arguments),
+        report=report,
+        **numbers,
     )
     flow = dpd.shear(arguments.rate) if arguments.rate else None
+    how = dict(integrator=made.integrator, progress=not arguments.json)
     state, spent = made.state, 0
     if arguments.settle > 0:
         every = max(1, round(arguments.settle / made.dt / 10))
         hard = made.fluid.set(D0=0.0)
-        settled = dpd.run(
-            hard, state, key, made.dt, dpd.Plan(10, every), progress=not arguments.json
-        )
+        settled = dpd.run(hard, state, key, made.dt, dpd.Plan(10, every), **how)
         _go_on_with(settled.complete)
         state = settled.final.restarted()
         spent = 10 * every
-    plan = dpd.Plan(
-        arguments.frames, max(1, round(arguments.times * made.tau / made.dt / arguments.frames))
-    )
-    ran = _run_to(arguments.out, made, state, key, plan, flow, not arguments.json)
+    steps = arguments.times * made.tau / made.dt
+    frames = max(2, min(arguments.frames, round(steps)))
+    plan = dpd.Plan(frames, max(1, round(steps / frames)))
+    ran = _run_to(arguments.out, made, state, key, plan, flow, how)
     _go_on_with(ran.frames)
     return {
         "colloids": made.colloids,
@@ -339,6 +365,7 @@ def _run_suspension(arguments) -> dict:
         "phi": made.phi,
         "tau": made.tau,
         "dt": made.dt,
+        "integrator": str(made.integrator),
         "frames": len(ran.frames["time"]),
         "times": len(ran.frames["time"]) * plan.every * made.dt / made.tau,
         "temperature": float(ran.frames["temperature"][len(ran.frames["time"]) // 2 :].mean()),
@@ -372,13 +399,13 @@ def _check_suspension(arguments):
         raise ValueError(f"frames is {arguments.frames}; it must be at least 2")
 
 
-def _run_to(path, made, state, key, plan, flow, progress):
+def _run_to(path, made, state, key, plan, flow, how):
     """The run, with its frames in a GSD file where one is wanted."""
     import dpdjax as dpd
 
     if path is None:
-        return dpd.run(made.fluid, state, key, made.dt, plan, flow, progress=progress)
-    return dpd.run_to_gsd(path, made.fluid, state, key, made.dt, plan, flow, progress=progress)
+        return dpd.run(made.fluid, state, key, made.dt, plan, flow, **how)
+    return dpd.run_to_gsd(path, made.fluid, state, key, made.dt, plan, flow, **how)
 
 
 def _contacts(made, state) -> float:
@@ -405,12 +432,14 @@ def _bench(arguments):
 
     import dpdjax as dpd
 
-    fluid = _water(arguments, arguments.gamma)
+    fluid, how = _water(arguments, arguments.gamma), _integrator(arguments)
+    dt = arguments.dt
     result = dpd.bench(
         fluid,
         jax.random.key(arguments.seed),
         beads=arguments.beads,
-        dt=dpd.suggest_dt(fluid, arguments.density) if arguments.dt is None else arguments.dt,
+        dt=dpd.suggest_dt(fluid, arguments.density, integrator=how) if dt is None else dt,
+        integrator=how,
         density=arguments.density,
         batch=arguments.batch,
         skin=arguments.skin,

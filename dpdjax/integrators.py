@@ -1,5 +1,6 @@
 """How beads move on in time, and the parts that an integrator of your own is made of."""
 
+from dpdjax.engine.choice import cheapest
 from dpdjax.engine.forces import EVERYTHING, UNDAMPED, forces_on, update_lists
 from dpdjax.engine.implicit import ImplicitDrag, damped
 from dpdjax.engine.integrator import Drift, Integrator, VelocityVerlet, drifted, settled
@@ -8,6 +9,7 @@ from dpdjax.model.beads import inertias, masses
 from dpdjax.pairs.sums import Forces
 
 __all__ = [
+    "cheapest",
     "damped",
     "Drift",
     "drifted",

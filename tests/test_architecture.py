@@ -18,7 +18,7 @@ HOST = {"host", "cli"}
 PAIRS = "box noise cells geometry laws sums kernels neighbours forces friction".split()
 ENGINE = (
     "compensated compiling status batching rotation state answers deformation drivers flow order "
-    "forces observables integrator implicit part system multistep soundness motion record "
+    "forces observables integrator implicit part system multistep choice soundness motion record "
     "trajectory refusals simulate chunk"
 ).split()
 """The files of two rooms, each built on those before it."""

@@ -14,9 +14,9 @@ import numpy as np
 from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
+from dpdjax.engine.choice import cheapest
 from dpdjax.engine.chunk import begun, complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.compiling import is_new
-from dpdjax.engine.implicit import ImplicitDrag
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
@@ -136,20 +136,6 @@ def prepare(
     )
     _equilibrate(ensemble)
     return ensemble
-
-
-COST = 4.0
-"""A step of :class:`ImplicitDrag` in units of one of velocity-Verlet (measured:
-tests/benchmarks/STEPS.md)."""
-
-
-def cheapest(fluid, density: float) -> Integrator:
-    """The integrator that covers most time at the same accuracy: velocity-Verlet, but for strong
-    drag between beads that hardly repel each other."""
-    verlet, implicit = VelocityVerlet(), ImplicitDrag()
-    dt = [suggest_dt(fluid, density, integrator=one) for one in (verlet, implicit)]
-    random = any(i.random is not None for i in fluid.interactions)
-    return implicit if dt[1] > COST * dt[0] and not random else verlet
 
 
 EQUILIBRATION = Plan(10, 50)
@@ -291,7 +277,7 @@ def _check_dt(system: System, state):
     """What a run would refuse of the integrator and its step, for a batch of boxes, which are
     alike; a fixed step may not suit the next drag."""
     one = jax.tree.map(lambda leaf: leaf[0], state)
-    system.integrator.check(system.fluid, one)
+    system.integrator.check(system.fluid)
     check_dt(system, one)
 
 

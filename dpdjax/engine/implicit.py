@@ -53,6 +53,7 @@ class ImplicitDrag(Integrator):
 
     ranks = {"tolerance": 0}
     kinds = UNDAMPED
+    cost = 4.0
 
     tolerance: Any = 0.003
 
@@ -66,7 +67,7 @@ class ImplicitDrag(Integrator):
         kept = (advice.STIFFNESS,)
         return [one for one in super().dt_errors(fluid, density, error) if one[0] in kept]
 
-    def check(self, fluid: Fluid, state: State) -> None:
+    def check(self, fluid: Fluid) -> None:
         """Raise ValueError for noise of its own, which no step balances with the drag."""
         if any(interaction.random is not None for interaction in fluid.interactions):
             raise ValueError(

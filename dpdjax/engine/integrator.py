@@ -30,9 +30,11 @@ class Integrator(Part):
     Attributes:
         kinds: the kinds of force that the force of a state consists of between two steps. One
             whose force lacks some interactions too says so in :meth:`forces` and :meth:`mark_of`.
+        cost: a step in units of one of velocity-Verlet (measured: tests/benchmarks/STEPS.md).
     """
 
     kinds: ClassVar[tuple[str, ...]] = EVERYTHING
+    cost: ClassVar[float] = 1.0
 
     def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
         """The state a step of ``system.dt`` later, its force known; ``tally`` (static): with the
@@ -66,8 +68,8 @@ class Integrator(Part):
         as bits."""
         return sum(1 << EVERYTHING.index(kind) for kind in self.kinds)
 
-    def check(self, fluid: Fluid, state: State) -> None:
-        """Raise TypeError or ValueError, before a run of one state, for a fluid it cannot move."""
+    def check(self, fluid: Fluid) -> None:
+        """Raise TypeError or ValueError, before a run, for a fluid it cannot move."""
 
     def dt_limits(
         self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]

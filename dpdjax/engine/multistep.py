@@ -1,9 +1,11 @@
 """A long step for the solvent, short ones for what is stiff between a few beads."""
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
+from jax.typing import ArrayLike
 
 from dpdjax.engine.deformation import Shear
 from dpdjax.engine.flow import Flow
@@ -25,6 +27,9 @@ from dpdjax.model.beads import inertias, masses
 from dpdjax.model.fluid import Fluid
 from dpdjax.pairs.laws import CONSERVATIVE
 from dpdjax.pairs.sums import Forces
+
+MOST = 64
+"""Short steps in a long one."""
 
 
 @jax.tree_util.register_dataclass
@@ -55,10 +60,32 @@ class MultipleTimeStep(Integrator):
     """
 
     ranks = {"tolerance": 0}
+    cost = 1.3
 
     inner: int = dataclasses.field(default=8, metadata={"static": True})
     stiff: tuple[int, ...] | None = dataclasses.field(default=None, metadata={"static": True})
     tolerance: Any = 0.003
+
+    @classmethod
+    def suited_to(
+        cls,
+        fluid: Fluid,
+        density: ArrayLike,
+        sizes: tuple[float, float] = (1.0, 1.0),
+        *,
+        error: float = advice.ERROR,
+        **numbers,
+    ) -> "MultipleTimeStep":
+        """With as many short steps as the potentials of what is stiff need in the longest step that
+        suits the rest, 64 at most.
+
+        ``fluid, density, sizes, error`` as for :func:`dpdjax.suggest_dt`; ``numbers`` are the
+        other attributes.
+        """
+        step = lambda inner: advice.suggest_dt(
+            fluid, density, sizes, integrator=cls(inner, **numbers), error=error
+        )
+        return cls(math.ceil(step(MOST) / step(1) * (1 - 1e-6)), **numbers)
 
     def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
         """One long step."""
@@ -132,7 +159,7 @@ class MultipleTimeStep(Integrator):
         stiff = sum(1 << (len(EVERYTHING) + k) for k in self.stiff_of(fluid))
         return super().mark_of(fluid) + stiff
 
-    def check(self, fluid: Fluid, state: State) -> None:
+    def check(self, fluid: Fluid) -> None:
         """Raise ValueError where nothing is stiff, or the noise of what is does not follow from its
         drag."""
         stiff, count = self.stiff_of(fluid), len(fluid.interactions)

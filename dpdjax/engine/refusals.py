@@ -8,6 +8,7 @@ from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import soundness
 from dpdjax.engine import status as bits
 from dpdjax.engine.answers import check_part
+from dpdjax.engine.choice import cheapest
 from dpdjax.engine.deformation import check_tilt
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
@@ -47,7 +48,7 @@ def check_run(system: System, state, key):
     check_rotation(fluid, state)
     check_finite(state)
     soundness.check_laws(fluid, state)
-    system.integrator.check(fluid, state)
+    system.integrator.check(fluid)
     check_dt(system, state)
     if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
         check_tilt(state)
@@ -157,8 +158,16 @@ def _too_large(system: System, density, sizes):
             return (
                 f"dt {largest:.4g} is too large for the {what}, which allows {limit:.2g}; "
                 f"use dt = {suits:.2g} (right to 0.5 %)"
+                f"{_another(system, largest, density, sizes)}"
             )
     return None
+
+
+def _another(system: System, dt, density, sizes) -> str:
+    """The integrator that a time step suits, in place of one that it does not."""
+    other = cheapest(system.fluid, density, sizes)
+    suits = advice.suggest_dt(system.fluid, density, sizes, integrator=other)
+    return f", or integrator=dpd.integrators.{other}" if dt <= suits * (1 + 1e-6) else ""
 
 
 def list_trouble(fluid, state):

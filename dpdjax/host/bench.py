@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import order
+from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.simulate import simulate
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Plan
@@ -38,6 +39,7 @@ def bench(
     steps: int | None = None,
     repeats: int = 5,
     tangent: str | None = False,
+    integrator: Integrator | None = None,
 ) -> dict:
     """Measure the speed of plain runs of a cubic box, or of a batch as ``dpd.run`` would run it.
 
@@ -52,19 +54,20 @@ def bench(
         steps: steps of one timed run, even; by default 200, fewer in large boxes.
         repeats: timed runs; medians are returned.
         tangent: time the forward derivative with respect to gamma too.
+        integrator: what moves it; by default velocity-Verlet.
 
     Returns a dict of ``particle_steps_per_second``, ``rebuild_seconds``, ``steps_per_rebuild``,
     ``compile_seconds``, ``peak_memory_bytes`` (of the device; of the process on a CPU),
     ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too.
     """
     steps = _even(max(10, min(200, LONGEST / (beads * batch))) if steps is None else steps)
-    state, keys = _settled(fluid, key, beads, density, batch, skin, dt)
-    plain = _Program(_plain(dt, steps), fluid, state, keys)
+    state, keys = _settled(fluid, key, beads, density, batch, skin, dt, integrator)
+    plain = _Program(_plain(dt, steps, integrator), fluid, state, keys)
     seconds = plain.seconds(repeats)
     result = {
         "particle_steps_per_second": beads * batch * steps / seconds,
         "rebuild_seconds": _rebuild_seconds(state, keys, repeats),
-        "steps_per_rebuild": _steps_per_rebuild(fluid, state, keys, dt, max(20, steps)),
+        "steps_per_rebuild": _steps_per_rebuild(fluid, state, keys, dt, max(20, steps), integrator),
         "compile_seconds": plain.compile_seconds,
         "peak_memory_bytes": peak_memory(),
         "device": jax.devices()[0].device_kind,
@@ -78,7 +81,7 @@ def bench(
     }
     if tangent:
         result["tangent_over_primal"] = (
-            _Program(_tangent(dt, steps), fluid, state, keys).seconds(repeats) / seconds
+            _Program(_tangent(dt, steps, integrator), fluid, state, keys).seconds(repeats) / seconds
         )
     return result
 
@@ -114,19 +117,20 @@ def _duration(function, *arguments) -> float:
     return time.perf_counter() - began
 
 
-def _settled(fluid, key, beads, density, batch, skin, dt) -> tuple[State, jax.Array]:
+def _settled(fluid, key, beads, density, batch, skin, dt, integrator) -> tuple[State, jax.Array]:
     """Boxes whose beads move as they will; one box, unbatched, for a batch of 1."""
     side = (beads / density) ** (1 / 3)
     start = lambda k: initial_state(fluid, k, box=side, n=beads, skin=skin, dt=dt, sheared=False)
     keys = key if batch == 1 else jax.random.split(key, batch)
     state = start(keys) if batch == 1 else jax.vmap(start)(keys)
-    coarse = max(float(dt), suggest_dt(fluid, density))
+    coarse = max(float(dt), suggest_dt(fluid, density, integrator=integrator))
     steps = min(SETTLE, LARGEST_SETTLE / (beads * batch))
-    state = run(
-        fluid, state, keys, coarse, Plan(max(2, int(steps / 5)), 5), progress=False
-    ).final.restarted()
+    go = lambda state, dt, plan: (
+        run(fluid, state, keys, dt, plan, integrator=integrator, progress=False).final
+    )
+    state = go(state, coarse, Plan(max(2, int(steps / 5)), 5)).restarted()
     # So that the force at the start is no part of what is timed.
-    return run(fluid, state, keys, dt, Plan(2, 1), progress=False).final, keys
+    return go(state, dt, Plan(2, 1)), keys
 
 
 def _even(steps) -> int:
@@ -139,17 +143,18 @@ def _boxes(function, keys):
     return function if not keys.ndim else each_member(function)
 
 
-def _plain(dt, steps):
+def _plain(dt, steps, integrator):
+    plan = Plan(2, steps // 2)
+
     def program(fluid, state, keys):
-        return _boxes(lambda s, k: simulate(fluid, s, k, dt, Plan(2, steps // 2)).final, keys)(
-            state, keys
-        )
+        once = lambda s, k: simulate(fluid, s, k, dt, plan, integrator=integrator).final
+        return _boxes(once, keys)(state, keys)
 
     return program
 
 
-def _tangent(dt, steps):
-    primal = _plain(dt, steps)
+def _tangent(dt, steps, integrator):
+    primal = _plain(dt, steps, integrator)
 
     def program(fluid, state, keys):
         velocity = lambda gamma: primal(fluid.set(gamma=gamma), state, keys).velocity
@@ -168,12 +173,11 @@ def _rebuild_seconds(state, keys, repeats) -> float:
     return _Program(_boxes(build, keys), sort(state, keys), keys).seconds(repeats)
 
 
-def _steps_per_rebuild(fluid, state, keys, dt, steps) -> float:
+def _steps_per_rebuild(fluid, state, keys, dt, steps, integrator) -> float:
     """Steps over the number of them in which a list was built, as its reference positions tell."""
     anchor = lambda fluid, state: {"anchor": state.neighbours[0].list.reference_position[0]}
-    frames = run(fluid, state, keys, dt, Plan(steps, 1), observe=anchor, progress=False).frames[
-        "anchor"
-    ]
+    how = dict(observe=anchor, integrator=integrator, progress=False)
+    frames = run(fluid, state, keys, dt, Plan(steps, 1), **how).frames["anchor"]
     frames = np.reshape(frames, (-1, steps, 3))
     built = np.any(frames[:, 1:] != frames[:, :-1], axis=-1).sum(axis=-1)
     return float(steps / max(1.0, built.mean()))

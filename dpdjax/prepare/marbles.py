@@ -9,6 +9,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import positive, prng_key
+from dpdjax.engine.choice import cheapest
+from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.state import State
 from dpdjax.model.advice import suggest_dt
 from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
@@ -29,12 +31,14 @@ class Marbles:
     Attributes:
         fluid: the fluid, species 0 the solvent and species 1 the marbles.
         state: where the beads are.
-        dt: a time step that suits it [time].
+        dt: a time step that suits it [time], under this integrator:
+        integrator: what is to move it, ``dpd.run(..., integrator=made.integrator)``.
     """
 
     fluid: Fluid
     state: State
     dt: float
+    integrator: Integrator
 
     @property
     def solvents(self) -> int:
@@ -63,7 +67,8 @@ class Marbles:
                 f"marbles: radius {float(self.fluid.radius[COLLOID]):g}, mass {mass:.4g} "
                 f"({100 * self.share:.3g} % of the whole), inertia {inertia:.4g}",
                 *self._energies(),
-                f"kT {float(self.fluid.kT):g}, {self._frictions()}, dt {self.dt:.4g}",
+                f"kT {float(self.fluid.kT):g}, {self._frictions()}, "
+                f"dt {self.dt:.4g} by {self.integrator}",
             ]
         )
 
@@ -102,6 +107,7 @@ def marbles(
     density: float | None = None,
     skin: float | None = None,
     dt: float | None = None,
+    integrator: Integrator | None = None,
     sheared: bool = False,
     report: Callable[[str], None] | None = print,
     **numbers,
@@ -119,6 +125,7 @@ def marbles(
         radius: of a marble [length]; 3 r_c by default.
         density: solvent beads per volume outside the marbles; 3/r_c^3 by default.
         skin, dt: as for :func:`dpdjax.initial_state`.
+        integrator: as for :func:`dpdjax.suspension`.
         sheared: leave room in the lists for a tilted box.
         report: told what was made; None for silence.
         **numbers: all that :func:`dpdjax.marble_fluid` takes: kT, gamma, gamma_cs, coupling, ...
@@ -150,12 +157,16 @@ def marbles(
     # Outside the wall, where its energy is at most kT.
     clearance = float(closest(fluid, most=1.0)[SOLVENT, COLLOID])
     counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
-    dt = suggest_dt(fluid, np.asarray(counts) / volume) if dt is None else float(dt)
+    numbers = fluid, np.asarray(counts) / volume
+    if integrator is None:
+        integrator = cheapest(*numbers) if dt is None else VelocityVerlet()
+    dt = suggest_dt(*numbers, integrator=integrator) if dt is None else float(dt)
     grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(
         key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance
     )
-    made = Marbles(fluid, placed(fluid, key, space, position, counts, grids), dt)
+    state = placed(fluid, key, space, position, counts, grids)
+    made = Marbles(fluid, state, dt, integrator)
     if report is not None:
         report(str(made))
     return made

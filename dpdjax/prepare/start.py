@@ -22,7 +22,7 @@ from dpdjax.prepare.cores import START_ENERGY, start_radii
 
 CLUSTERING = 2.0
 """Room in the lists of colloids, which gather."""
-LEAST_SKIN = 0.05
+LEAST_SKIN = 0.02
 """Share of the reach that a default skin keeps in a narrow box."""
 
 

@@ -3,13 +3,14 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import positive, prng_key
+from dpdjax.engine.choice import cheapest
+from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.state import State
 from dpdjax.model.advice import suggest_dt
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
@@ -36,7 +37,8 @@ class Suspension:
         state: where the beads are.
         phi: volume fraction of the colloids, as placed.
         tau: bare diffusion time of a colloid [time].
-        dt: a time step that suits it [time].
+        dt: a time step that suits it [time], under this integrator:
+        integrator: what is to move it, ``dpd.run(..., integrator=made.integrator)``.
     """
 
     fluid: Fluid
@@ -44,6 +46,7 @@ class Suspension:
     phi: float
     tau: float
     dt: float
+    integrator: Integrator
 
     @property
     def solvents(self) -> int:
@@ -76,8 +79,8 @@ class Suspension:
                 f"{mass[COLLOID]:.4g}; solvent mass {mass[SOLVENT]:g}",
                 f"cut-offs between centres, and skins: {lists}",
                 *self._energies(),
-                f"kT {float(self.fluid.kT):g}, dt {self.dt:.2g}, diffusion time tau "
-                f"{self.tau:.4g}: {self.steps_per_tau:,} steps",
+                f"kT {float(self.fluid.kT):g}, diffusion time tau {self.tau:.4g}: "
+                f"{self.steps_per_tau:,} steps of dt {self.dt:.2g} by {self.integrator}",
                 f"one tau is {self.steps_per_tau * self.state.n:.2g} particle-steps (dpdjax bench "
                 "tells how many a second)",
             ]
@@ -112,7 +115,7 @@ def suspension(
     density: float | None = None,
     skin: float | None = None,
     dt: float | None = None,
-    integrator: Any = None,
+    integrator: Integrator | None = None,
     sheared: bool = True,
     report: Callable[[str], None] | None = print,
     **numbers,
@@ -132,7 +135,9 @@ def suspension(
         spread: standard deviation of the radius over its mean, Gaussian. Masses go as the cube.
         density: solvent beads per volume outside the colloids; 3/r_c^3 by default.
         skin, dt, sheared: as for :func:`dpdjax.initial_state`.
-        integrator: that of the runs to come, whose step it is; by default velocity-Verlet.
+        integrator: that of the runs to come, whose step ``dt`` is; by default the one that covers
+            most time for its cost (:func:`dpdjax.integrators.cheapest`), with ``dt`` given
+            velocity-Verlet.
         report: told what was made; None for silence.
         **numbers: all that :func:`dpdjax.colloid_fluid` takes: kT, gamma, eta_0, D0, ...
 
@@ -161,20 +166,14 @@ def suspension(
     )
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
-    dt = (
-        suggest_dt(
-            fluid,
-            np.asarray(counts) / volume,
-            (size.min(), size.max()),
-            integrator=integrator,
-        )
-        if dt is None
-        else float(dt)
-    )
+    numbers = fluid, np.asarray(counts) / volume, (size.min(), size.max())
+    if integrator is None:
+        integrator = cheapest(*numbers) if dt is None else VelocityVerlet()
+    dt = suggest_dt(*numbers, integrator=integrator) if dt is None else float(dt)
     grids = plan_lists(fluid, space, counts, size=size, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(key, space, np.concatenate([np.zeros(solvents), radii]))
     state = placed(fluid, key, space, position, counts, grids, size=size)
-    made = Suspension(fluid, state, placed_phi, float(diffusion_time(fluid)), dt)
+    made = Suspension(fluid, state, placed_phi, float(diffusion_time(fluid)), dt, integrator)
     if report is not None:
         report(str(made))
     return made

@@ -105,11 +105,11 @@ def test_box_below_two_cuts(water, key):
 
 
 def test_side_that_a_message_asks_for_will_do(water, key):
-    """The default skin gives way in a narrow box, down to a twentieth of the reach."""
-    with refused(ValueError, "box side 2.3 ", "2 (reach + skin) = 2.1", "at least 2.35"):
-        dpd.initial_state(water, key, box=2.3, density=3.0)
-    narrow = dpd.initial_state(water, key, box=2.35, density=3.0)
-    assert 0.05 <= narrow.neighbours[0].grid.skin < 0.06
+    """The default skin gives way in a narrow box, down to a fiftieth of the reach."""
+    with refused(ValueError, "box side 2.25 ", "2 (reach + skin) = 2.04", "at least 2.29"):
+        dpd.initial_state(water, key, box=2.25, density=3.0)
+    narrow = dpd.initial_state(water, key, box=2.29, density=3.0)
+    assert 0.02 <= narrow.neighbours[0].grid.skin < 0.03
 
 
 def test_box_of_the_wrong_shape(water, key):

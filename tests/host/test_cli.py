@@ -293,7 +293,7 @@ SMALL = (
     "--density",
     1,
     "--times",
-    0.002,
+    0.05,
     "--frames",
     10,
 )
@@ -303,6 +303,7 @@ SUSPENSION_KEYS = {
     "phi",
     "tau",
     "dt",
+    "integrator",
     "frames",
     "times",
     "temperature",
@@ -317,7 +318,7 @@ def test_suspension_as_json(capsys, tmp_path, monkeypatch):
     """Settled for as long as the run lasts, so that both are one program."""
     monkeypatch.chdir(tmp_path)
     tau = 6 * math.pi * 0.3 * 0.5**3 / 0.1
-    status, out, err = said(capsys, "suspension", *SMALL, "--settle", 0.002 * tau, "--json")
+    status, out, err = said(capsys, "suspension", *SMALL, "--settle", 0.05 * tau, "--json")
     assert status == 0 and out.count("\n") == 1, err
     result = json.loads(out)
     assert set(result) == SUSPENSION_KEYS
@@ -325,7 +326,7 @@ def test_suspension_as_json(capsys, tmp_path, monkeypatch):
         "solvents"
     ] == math.floor(0.9 * 6**3)
     assert result["tau"] == pytest.approx(tau) and result["phi"] == pytest.approx(0.1, rel=0.02)
-    assert result["frames"] == 10 and result["times"] == pytest.approx(0.002, rel=0.1)
+    assert result["frames"] == 10 and result["times"] == pytest.approx(0.05, rel=0.1)
     assert 0.05 < result["temperature"] < 0.2 and result["contact_number"] >= 0
     assert result["file"] is None and list(tmp_path.iterdir()) == []
     assert (
@@ -344,7 +345,7 @@ def test_suspension_writes_a_file(capsys, tmp_path):
         "--settle",
         0,
         "--rate",
-        2.0,
+        0.5,
         "--spread",
         0.1,
         "--D0",
@@ -355,7 +356,7 @@ def test_suspension_writes_a_file(capsys, tmp_path):
     assert status == 0, err
     lines = out.splitlines()
     assert (
-        lines[0].startswith("10 frames over 0.00")
+        lines[0].startswith("10 frames over 0.0")
         and "contact number" in lines[1]
         and lines[2] == f"wrote {path}"
     )
@@ -366,7 +367,7 @@ def test_suspension_writes_a_file(capsys, tmp_path):
             and len(set(file[-1].particles.diameter)) > 10
         )
         assert file[-1].configuration.box[3] == pytest.approx(
-            2.0 * 0.002 * 6 * math.pi * 0.3 * 0.5**3 / 0.1, rel=0.1
+            0.5 * 0.05 * 6 * math.pi * 0.3 * 0.5**3 / 0.1, rel=0.15
         )
 
 
@@ -388,16 +389,19 @@ def test_numbers_reach_the_suspension(capsys, monkeypatch):
         "gamma": 9.0,
         "D0": 1.0,
     }
+    named = "--integrator", "multiple-time-step"
     numbers |= {"kappa": 20.0, "dt": 1e-4}
     options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
     assert (
-        said(capsys, "suspension", *options, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[-1]
+        said(capsys, "suspension", *options, *named, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[-1]
         == "dpdjax suspension: seen"
     )
     assert {name: asked[name] for name in numbers} == numbers
     assert asked["eta_0"] == 0.9 and asked["sheared"] is True
+    assert asked["integrator"] == dpd.integrators.MultipleTimeStep()
     said(capsys, "suspension", "--phi", 0.2)
     assert asked["sheared"] is False and asked["dt"] is None and asked["box"] == 30.0
+    assert asked["integrator"] is None
 
 
 @pytest.mark.parametrize("settle", [1, 0], ids=["settling", "running"])
@@ -413,7 +417,9 @@ def test_interrupt_of_a_suspension_ends_it(settle, capsys, monkeypatch):
     monkeypatch.setattr(
         dpd,
         "suspension",
-        lambda *_, **how: SimpleNamespace(fluid=fluid, state=None, dt=0.1, tau=10.0),
+        lambda *_, **how: SimpleNamespace(
+            fluid=fluid, state=None, dt=0.1, tau=10.0, integrator=None
+        ),
     )
     monkeypatch.setattr(dpd, "run", run)
     status, out, err = said(capsys, "suspension", "--phi", 0.2, "--settle", settle)

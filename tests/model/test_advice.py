@@ -207,9 +207,33 @@ def made(key):
 
 
 def test_default_dt_of_a_suspension_passes(made, key):
-    check_dt(System.of(made.fluid, made.dt), made.state)
+    """For the integrator it is of, and for no other; the refusal names both cures."""
+    check_dt(System.of(made.fluid, made.dt, None, made.integrator), made.state)
+    cures = r"too large for the lubrication.* use dt = .* or integrator=dpd.integrators.Multiple"
+    with pytest.raises(ValueError, match=cures):
+        dpd.simulate(made.fluid, made.state, key, made.dt, dpd.Plan(1))
+    plain = dpd.suggest_dt(made.fluid, [0.9, 0.024])
+    check_dt(System.of(made.fluid, plain), made.state)
     with pytest.raises(ValueError, match="too large for the lubrication.* use dt = "):
-        dpd.simulate(made.fluid, made.state, key, made.dt / 0.69, dpd.Plan(1))
+        dpd.simulate(made.fluid, made.state, key, plain / 0.69, dpd.Plan(1))
+
+
+def test_the_integrator_that_covers_most_time(made):
+    """Of a suspension, of strong drag without repulsion, of water; none that cannot move it."""
+    fluid, density = made.fluid, [0.9, 0.024]
+    cheapest, suggested = dpd.integrators.cheapest, dpd.suggest_dt
+    how = cheapest(fluid, density)
+    assert how == dpd.integrators.MultipleTimeStep.suited_to(fluid, density)
+    # No fewer short steps would do, and more would not help.
+    step = lambda inner: suggested(fluid, density, integrator=dataclasses.replace(how, inner=inner))
+    assert step(how.inner - 1) < step(how.inner) == step(64)
+    gas = dpd.fluid([], [dpd.term(dpd.central_drag, gamma=90.0, r_c=1.0)], kT=1.0)
+    assert isinstance(cheapest(gas, 3.0), dpd.integrators.ImplicitDrag)
+    assert isinstance(cheapest(dpd.water(), 3.0), dpd.integrators.VelocityVerlet)
+    (among,) = gas.interactions
+    loud = dpd.term(dpd.central_drag, gamma=90.0, r_c=1.0)
+    literal = dpd.fluid(interactions=[dpd.interaction((0, 0), [], among.drag, loud)], kT=1.0)
+    assert isinstance(cheapest(literal, 3.0), dpd.integrators.VelocityVerlet)
 
 
 def test_a_run_warns_and_goes_on(made, key, monkeypatch):
@@ -221,7 +245,15 @@ def test_a_run_warns_and_goes_on(made, key, monkeypatch):
 
     monkeypatch.setattr(sys.modules[dpd.stream.__module__], "replayed", replayed)
     with pytest.warns(UserWarning, match="box side 7 is small") as seen:
-        dpd.run(made.fluid, made.state, key, made.dt, dpd.Plan(2, 10), progress=False)
+        dpd.run(
+            made.fluid,
+            made.state,
+            key,
+            made.dt,
+            dpd.Plan(2, 10),
+            integrator=made.integrator,
+            progress=False,
+        )
     assert began and len(seen) == 1 and seen[0].filename == __file__
 
 

@@ -28,13 +28,16 @@ from dpdjax.prepare import packing
 from dpdjax.prepare.start import placed, plan_lists
 
 KEY = jax.random.key(2026)
+VERLET = dpd.integrators.VelocityVerlet()
 KT, MASS = 0.1, 4 * math.pi  # of a colloid of radius 1 in a solvent of density 3
 
 
-def go(fluid, state, key, dt, total, every, flow=None, observe=None):
-    """A run of ``total`` time units."""
+def go(fluid, state, key, dt, total, every, flow=None, observe=None, integrator=None):
+    """A run of ``total`` time units, by velocity-Verlet where no integrator is given."""
     plan = dpd.Plan(max(2, round(total / dt / every)), every)
-    return dpd.run(fluid, state, key, dt, plan, flow, observe=observe, progress=False)
+    return dpd.run(
+        fluid, state, key, dt, plan, flow, observe=observe, integrator=integrator, progress=False
+    )
 
 
 # ------------------------------------------------------------ pairs of colloids
@@ -87,7 +90,7 @@ def pair_temperature():
             )
             run = go(
                 fluid,
-                *_held_pairs(fluid, h0),
+                *held_pairs(fluid, h0),
                 dt,
                 total * (1.0 if noise == "exact" else 0.2),
                 50,
@@ -107,7 +110,7 @@ def pair_temperature():
     return rows
 
 
-def _held_pairs(fluid, h0, side=8, count=8):
+def held_pairs(fluid, h0, side=8, count=8):
     """512 pairs far from each other; each has no momentum, so it stays where it is."""
     cell = (
         np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -129,7 +132,7 @@ def _held_pairs(fluid, h0, side=8, count=8):
 
 def temperatures():
     """Temperatures of solvent and colloids at phi = 0.2"""
-    made = dpd.suspension(KEY, phi=0.2, box=10.0, report=None, sheared=False)
+    made = dpd.suspension(KEY, phi=0.2, box=10.0, report=None, sheared=False, integrator=VERLET)
     keys = jax.random.split(KEY, 2)
     state = go(made.fluid, _batch(made.state, 2), keys, made.dt, 20.0, 100).final
     run = go(made.fluid, state, keys, made.dt, 140.0, 40, observe=dpd.mean(by_species))
@@ -429,15 +432,16 @@ def separation(fluid, state):
     }
 
 
-def _gaps_of_pairs(fluid, count, side, solvents, h, dt, total):
+def gaps_of_pairs(fluid, count, side, solvents, h, dt, total, integrator=None):
     """Gaps over time (boxes, frames) of two colloids that cannot part, in several boxes."""
     keys = jax.random.split(jax.random.fold_in(KEY, 5), count)
     state = stacked([_pair_in_solvent(fluid, k, side, solvents, h, dt) for k in keys])
-    state = go(fluid, state, keys, dt, 20.0, 50).final
-    return go(fluid, state, keys, dt, total, 20, observe=separation).frames["h"]
+    state = go(fluid, state, keys, dt, 20.0, 50, integrator=integrator).final
+    run = go(fluid, state, keys, dt, total, 20, observe=separation, integrator=integrator)
+    return run.frames["h"]
 
 
-def _shares(gaps, edges, weight):
+def shares(gaps, edges, weight):
     """Share of the gaps in each bin over that of ``r^2 weight(h)``, an estimate each; 4 pieces of
     each box."""
     middle = np.linspace(edges[:-1], edges[1:], 21)
@@ -456,16 +460,16 @@ def well():
     morse = dpd.term(dpd.laws.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0)
     wall = dpd.term(hold_near, stiffness=40.0, until=until, reach=1.0)
     fluid = dpd.colloid_fluid(attraction=[morse, wall], eta_0=0.05, **SOFT).set(strength=0.0)
-    gaps = _gaps_of_pairs(fluid, count, 6.4, round(6.4**3), 0.15, dt, 15000.0)
+    gaps = gaps_of_pairs(fluid, count, 6.4, round(6.4**3), 0.15, dt, 15000.0)
     edges = np.array([0.02, 0.04, 0.06, 0.09, 0.13, 0.2, 0.3])
     U = lambda h: 0.2 * (np.exp(-60 * h) - 2 * np.exp(-30 * h))
     where = (
         f"D0 2 kT, kappa 30, solvent density 1, dt {dt:g}, {count} boxes, wall beyond h = {until:g}"
     )
-    shares = _shares(gaps, edges, lambda h: np.exp(-U(h) / KT))
+    found = shares(gaps, edges, lambda h: np.exp(-U(h) / KT))
     return [
         row(f"P(h) over r^2 exp(-U/kT), h from {a:g} to {b:g}", where, share, 1.0, "exact")
-        for a, b, share in zip(edges, edges[1:], shares)
+        for a, b, share in zip(edges, edges[1:], found)
     ]
 
 
@@ -478,17 +482,13 @@ def free_pair():
     dt, until, count, side = 0.02, 0.9, 4, 7.0
     wall = dpd.term(hold_near, stiffness=20.0, until=until, reach=until + 0.4)
     fluid = dpd.colloid_fluid(attraction=wall, eta_0=0.0, **SOFT)
-    gaps = _gaps_of_pairs(fluid, count, side, round(3.0 * (side**3 - 2 * 3.4)), 0.6, dt, 6000.0)
-    held = json.loads((rooms.HERE / "suspensions.json").read_text())["mediated"]["rows"][
-        : len(GAPS)
-    ]
-    W = np.array([r["value"][0] for r in held])
-    edges = np.array([0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+    gaps = gaps_of_pairs(fluid, count, side, round(3.0 * (side**3 - 2 * 3.4)), 0.6, dt, 6000.0)
+    edges, weight = weight_of_held_pairs()
     where = (
         f"a_cs 9.62, kT 0.1, gamma 4.5, dt {dt:g}, {count} boxes of {side:g}, wall beyond h = "
         f"{until:g}"
     )
-    shares = _shares(gaps, edges, lambda h: np.exp(-CubicSpline(GAPS, W)(h)))
+    found = shares(gaps, edges, weight)
     return [
         row(
             f"P(h) over r^2 exp(-W/kT), h from {a:g} to {b:g}",
@@ -497,8 +497,16 @@ def free_pair():
             1.0,
             "W from the mean force on held pairs",
         )
-        for a, b, share in zip(edges, edges[1:], shares)
+        for a, b, share in zip(edges, edges[1:], found)
     ]
+
+
+def weight_of_held_pairs():
+    """Edges of bins of the gap, and ``exp(-W/kT)`` from the mean force on held pairs."""
+    held = json.loads((rooms.HERE / "suspensions.json").read_text())["mediated"]["rows"]
+    W = CubicSpline(GAPS, [r["value"][0] for r in held[: len(GAPS)]])
+    edges = np.array([0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+    return edges, lambda h: np.exp(-W(h))
 
 
 def _pair_in_solvent(fluid, key, side, solvents, h, dt):
