@@ -24,6 +24,7 @@ import pytest  # noqa: E402
 from small import SIDE, SKIN, equilibrated, quiet_water, sheared_water  # noqa: E402, F401
 
 import dpdjax as dpd  # noqa: E402
+from dpdjax.engine import compiling  # noqa: E402
 from dpdjax.pairs import neighbours  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
@@ -89,4 +90,5 @@ def room_for_programs():
     yield
     maps = pathlib.Path("/proc/self/maps")
     if maps.exists() and maps.read_text().count("\n") > MOST_MAPPINGS:
+        compiling.forget()
         jax.clear_caches()

@@ -16,8 +16,8 @@ from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
 from dpdjax.engine.choice import cheapest
 from dpdjax.engine.chunk import begun, complete_lists, replayed, shape_of, trips_of
-from dpdjax.engine.compiling import is_new
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
+from dpdjax.engine.members import called
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
 from dpdjax.engine.refusals import check_dt
@@ -383,16 +383,23 @@ def measure_slopes(
 def window_tangents(ensemble, fluid, names, k, dt, plan):
     """One window for all boxes along parameter ``k`` of those named, replayed with larger lists
     where one overflows."""
-    trips, shape, goal = trips_of(plan), shape_of(plan, ensemble.beads), ensemble.goal
+    trips, shape = trips_of(plan), shape_of(plan, ensemble.beads)
+    how = tuple(recorders(mean(ensemble.goal.observe)))
     along = np.eye(len(names))[k]
     for _ in range(8):
         system = ensemble.system_of(fluid, dt)
-        state = begun(system, ensemble.state, ensemble.keys)
-        arguments = (system, state, ensemble.keys, along)
-        if is_new(arguments, (names, shape, "tangent"), (goal.observe,)):
-            ensemble.report("compiling")
-        slopes, after = _tangent(*arguments, trips, names, shape, goal.observe)
-        slopes = slopes[:, : plan.frames]
+        slopes, after = called(
+            _tangent,
+            system,
+            begun(system, ensemble.state, ensemble.keys),
+            ensemble.keys,
+            along,
+            trips,
+            static={"names": names, "shape": shape, "how": how},
+            functions=how,
+            making=lambda: ensemble.report("compiling"),
+        )
+        slopes, after = slopes[:, : plan.frames], jax.tree.map(jnp.asarray, after)
         status = np.bitwise_or.reduce(np.asarray(after.status))
         if not status:
             ensemble.state = after
@@ -403,15 +410,15 @@ def window_tangents(ensemble, fluid, names, k, dt, plan):
     raise RuntimeError(f"tangent window failed: {bits.describe(status)}")
 
 
-@functools.partial(jax.jit, static_argnames=("names", "shape", "observe"))
-def _tangent(system: System, state, keys, along, trips, names, shape, observe):
-    """Derivative of the value along a direction in ``ln parameters``, (boxes, frames), and the
-    states after the window.
+@functools.partial(jax.jit, static_argnames=("names", "shape", "how"))
+def _tangent(system: System, state, keys, along, trips, names, shape, how):
+    """Derivative of the value along a direction in ``ln parameters``, (frames,) of each box, and
+    the state after the window.
 
     The direction is given to the program: one serves all parameters.
     """
     value = lambda name: jnp.asarray(system.fluid.value(name), state.position.dtype)
-    here, how = jnp.log(jnp.stack([value(name) for name in names])), recorders(mean(observe))
+    here = jnp.log(jnp.stack([value(name) for name in names]))
 
     def values(x, state, key):
         fluid = system.fluid.set(energies="keep", **dict(zip(names, jnp.exp(x))))
@@ -425,7 +432,7 @@ def _tangent(system: System, state, keys, along, trips, names, shape, observe):
         )
         return slopes, final
 
-    return each_member(one)(state, keys)
+    return each_member(one)(state, keys) if keys.ndim else one(state, keys)
 
 
 def plateau(tangents) -> Estimate:

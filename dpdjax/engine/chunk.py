@@ -10,7 +10,7 @@ import numpy as np
 
 from dpdjax.engine import order
 from dpdjax.engine import status as bits
-from dpdjax.engine.compiling import is_new
+from dpdjax.engine.members import called
 from dpdjax.engine.simulate import begin, proceed
 from dpdjax.engine.state import State, grow
 from dpdjax.engine.system import System
@@ -73,9 +73,17 @@ def replayed(
     beads = int(np.prod(state.position.shape[:-1]))
     shape = shape_of(plan, beads) if shape is None else shape
     for _ in range(MAX_GROWTHS):
-        if is_new((system, state, key), shape, how):
-            compiling()
-        after, frames = _compiled(system, begun(system, state, key), key, trips, shape, how)
+        after, frames = called(
+            _compiled,
+            system,
+            begun(system, state, key),
+            key,
+            trips,
+            static={"shape": shape, "how": how},
+            functions=how,
+            making=compiling,
+        )
+        after = jax.tree.map(jnp.asarray, after)
         status = np.asarray(after.status)
         # A member that failed may overflow any list: it is given up, and decides nothing for the
         # others.
@@ -129,7 +137,7 @@ def begun(system: System, state: State, key) -> State:
     By a program of its own, which runs of one fluid that record other things share.
     """
     is_known = np.all(np.asarray(state.started) == system.integrator.mark_of(system.fluid))
-    return state if is_known else _begun(system, state, key)
+    return state if is_known else jax.tree.map(jnp.asarray, called(_begun, system, state, key))
 
 
 @jax.jit

@@ -1,7 +1,9 @@
-"""What a program cost to be made, and whether the next one is there already."""
+"""Compiled programs, and what they cost to be made."""
 
+import functools
 import time
 import warnings
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,7 @@ ANEW = 3
 """Programs from one code under functions made anew, from which on it is told."""
 
 _made: list[tuple[float, float]] = []
-_seen: dict = {}
+_programs: dict = {}
 
 
 def _listen(event: str, seconds: float, **_):
@@ -47,26 +49,58 @@ class Clock:
         return seconds() - self._compiled
 
 
-def is_new(arguments, static, functions: tuple) -> bool:
-    """Whether a program of these arguments has yet to be made; it is then taken to have been.
+def program(
+    function,
+    arguments: tuple,
+    static: dict,
+    functions: tuple = (),
+    making: Callable = lambda: None,
+):
+    """The compiled program of a jitted function for arguments like these.
 
-    ``functions`` are among what is static. Warns where one code is compiled again and again because
-    the function is another.
+    Kept, and made where there is none yet, after ``making()``. Other threads may call it: nothing
+    is traced again under what is set for them. ``functions`` are among what is static. Warns where
+    one code is compiled again and again because the function is another.
     """
-    shapes = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in jax.tree.leaves(arguments))
-    others = _seen.setdefault((jax.tree.structure(arguments), shapes, static), [])
-    if functions in others:
-        return False
+    if jax.config.jax_disable_jit:
+        return functools.partial(function, **static)
+    leaves, tree = jax.tree.flatten(arguments)
+    own = tuple(value for value in static.values() if value is not functions)
+    settings = jax.config.jax_enable_x64, jax.config.jax_default_matmul_precision
+    key = function, tree, tuple(map(_kind, leaves)), own, settings
+    others = _programs.setdefault(key, {})
+    if functions not in others:
+        _warn_of_twins(functions, others)
+        making()
+        others[functions] = function.lower(*arguments, **static).compile()
+    return others[functions]
+
+
+def programs() -> int:
+    """How many are kept."""
+    return sum(map(len, _programs.values()))
+
+
+def forget():
+    """Drop all programs that are kept, as ``jax.clear_caches`` does those of JAX."""
+    _programs.clear()
+
+
+def _kind(leaf):
+    """What of an argument a program is made for."""
+    weak = getattr(leaf, "weak_type", isinstance(leaf, int | float))
+    return jnp.shape(leaf), jnp.result_type(leaf), weak, getattr(leaf, "sharding", None)
+
+
+def _warn_of_twins(functions: tuple, others):
     codes = _codes(functions)
     if codes is not None and sum(codes == _codes(other) for other in others) == ANEW - 1:
         warnings.warn(
             f"{_names(functions)} is made anew each time, and a program is compiled for it each "
             "time: define it once, outside the loop, and give its numbers by the fluid, the flow "
             "or the state",
-            stacklevel=5,
+            stacklevel=7,
         )
-    others.append(functions)
-    return True
 
 
 def _codes(functions):

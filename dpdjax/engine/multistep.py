@@ -60,7 +60,7 @@ class MultipleTimeStep(Integrator):
     """
 
     ranks = {"tolerance": 0}
-    cost = 1.3
+    cost = 2.4
 
     inner: int = dataclasses.field(default=8, metadata={"static": True})
     stiff: tuple[int, ...] | None = dataclasses.field(default=None, metadata={"static": True})

