@@ -5,6 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine import compiling
@@ -29,6 +30,8 @@ def called(
     ``functions`` and ``making`` are those of :func:`compiling.program`.
     """
     is_apart = bool(key.ndim) and on_cpu()
+    # Arrays, weak as they were: what a plain number is another thread would decide by its settings.
+    system, rest = jax.tree.map(jnp.asarray, (system, rest))
     of = lambda k: (system.member(k), _taken(state, k), key[k], *rest)
     arguments = of(0) if is_apart else (system, state, key, *rest)
     program = compiling.program(function, arguments, static or {}, functions, making)

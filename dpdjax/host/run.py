@@ -39,9 +39,9 @@ def run(
     **Batches.** A vector of keys runs one member for each key. The state may be a batch
     (from a vmapped ``initial_state`` or an earlier batch) or one state for all, and so may every
     number: ``fluid.set(gamma=jnp.array([2.0, 4.5, 9.0]))`` with three keys is a scan. An
-    accelerator runs the members side by side, a CPU one after another: its caches hold one. A
-    member that fails is named in a warning and in ``failed`` of the trajectory, and the others go
-    on as if it were not there; ``trajectory.survivors`` is a batch without it.
+    accelerator runs the members side by side in one program, a CPU each on a core of its own: its
+    caches hold one. A member that fails is named in a warning and in ``failed`` of the trajectory,
+    and the others go on as if it were not there; ``trajectory.survivors`` is a batch without it.
 
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.

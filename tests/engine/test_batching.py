@@ -9,8 +9,9 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax import xla
+from dpdjax.engine import members
 from dpdjax.engine.system import System
-from dpdjax.xla import all_at_once, each_member, one_by_one, where_needed
+from dpdjax.xla import all_at_once, each_member, on_cpu, one_by_one, where_needed
 
 NEEDED = jnp.array([[True, False, True], [False, False, True]])
 OLD = {"x": jnp.arange(6.0).reshape(2, 3), "k": jnp.arange(24).reshape(2, 3, 4)}
@@ -122,6 +123,47 @@ def test_members_that_fail_are_named_with_their_numbers(scanned):
     )
     alone = failed({}, np.uint32(4), scanned[0].system, "stopped")
     assert alone[0].startswith("stopped: positions")
+
+
+@pytest.mark.skipif(not on_cpu(), reason="an accelerator has one program for all")
+@pytest.mark.parametrize("count", [1, 3])
+def test_members_on_cores_are_runs_of_their_own(water, fresh, key, monkeypatch, count):
+    """To the last bit, on however many cores."""
+    monkeypatch.setattr(members, "cores", lambda: count)
+    gammas, keys = jnp.array([2.0, 4.5, 9.0, 4.5]), jax.random.split(key, 4)
+    go = lambda gamma, key: dpd.run(
+        water.set(gamma=gamma), fresh, key, 0.005, dpd.Plan(3, 4), progress=False
+    )
+    batch = go(gammas, keys)
+    for k in (0, 3):
+        alone = go(gammas[k], keys[k])
+        jax.tree.map(np.testing.assert_array_equal, batch[k].final.beads, alone.final.beads)
+        jax.tree.map(np.testing.assert_array_equal, batch[k].frames, alone.frames)
+
+
+@pytest.mark.skipif(not on_cpu(), reason="an accelerator has one program for all")
+def test_members_on_cores_are_of_the_precision_of_who_asks(fresh, key):
+    """Settings of one thread are not those of others."""
+    with jax.enable_x64(not jax.config.jax_enable_x64):
+        matter = dpd.water(gamma=9.0)
+        state = dpd.initial_state(matter, key, box=4.2, density=3.0)
+        keys = jax.random.split(key, 2)
+        other = dpd.run(matter, state, keys, 0.005, dpd.Plan(2, 2), progress=False).final
+        assert other.velocity.dtype == state.velocity.dtype != fresh.velocity.dtype
+
+
+def test_what_one_member_raises_ends_the_batch():
+    """An error of a program, and not the results of the others."""
+
+    def program(k):
+        if k == 2:
+            raise RuntimeError("out of memory")
+        return np.arange(3) + k
+
+    stacked = members.on_cores(program, lambda k: (k,), 2)
+    np.testing.assert_array_equal(stacked, [[0, 1, 2], [1, 2, 3]])
+    with pytest.raises(RuntimeError, match="out of memory"):
+        members.on_cores(program, lambda k: (k,), 4)
 
 
 def test_a_member_that_fails_leaves_the_others_as_they_were(water, fresh, key):

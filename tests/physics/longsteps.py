@@ -15,6 +15,7 @@ import sys
 
 import jax
 import jax.numpy as jnp
+import marbles as marbled
 import numpy as np
 import rooms
 import suspensions
@@ -291,11 +292,55 @@ def ageing():
     return rows
 
 
+# ------------------------------------------------------------ marbles
+
+
+def marbles():
+    """Temperatures of 20 marbles of radius 1 in a box of side 8, gamma_cs 20, kT 1"""
+    rows = []
+    for coupling in ("full", "transverse", "central"):
+        made = dpd.marbles(
+            KEY, box=8.0, count=20, radius=1.0, gamma_cs=20.0, coupling=coupling, report=None
+        )
+        keys = jax.random.split(KEY, 2)
+        state = stacked([go(made, made.state, k, 10.0, 1.0).final for k in keys])
+        run = go(made, state, keys, 150.0, 0.2, observe=dpd.mean(marbled.thermal))
+        where = f"{coupling}, {named(made.integrator)}, dt {made.dt:.3g}"
+        for name in ("T", "v2", "w2"):
+            if name != "w2" or coupling != "central":
+                title = f"{marbled.TITLES[name]}, per component, over kT"
+                rows.append(row(title, where, block_average(run.frames[name]), 1.0, "exact"))
+    return rows
+
+
+def marble_drag():
+    """Drag on a marble of radius 3 in a box of 10, gamma_cs 20"""
+    case = next(c for c in marbled.CASES if c.name == "L 10, gamma_cs 20")
+    made = dpd.marbles(KEY, box=case.box, gamma_cs=case.gamma_cs, report=None)
+    keys, observe = jax.random.split(KEY, 6), [dpd.observe.positions_of(1), dpd.observe.rotations]
+    state = stacked([made.state] * 6)
+    state = go(made, state, keys, case.settle, 1.0, case.flow).final
+    run = go(made, state, keys, marbled.LENGTH, 0.1, case.flow, observe)
+    driven, spun = dpd.measure.driven_diffusion(run), dpd.measure.driven_rotation(run)
+    where = f"gamma_cs 20, {named(made.integrator)}, dt {made.dt:.3g}, 6 boxes"
+    old = {r["quantity"]: Estimate(*r["value"]) for r in _of_marble(case.name)}
+    source = "velocity-Verlet, dt 0.01, MARBLES.md"
+    return [
+        row("D, drag", where, driven.diffusion, old["D, drag"], source),
+        row("D_r, torque", where, spun.diffusion, old["D_r, torque"], source),
+    ]
+
+
+def _of_marble(state):
+    rows = json.loads((rooms.HERE / "marbles.json").read_text())["marble"]["rows"]
+    return [r for r in rows if r["state"] == state]
+
+
 HEADING = """# Suspensions and marbles at the default step
 
 Written by `python tests/physics/longsteps.py`; do not edit.
 Reduced units, standard errors."""
-ROOMS = (steps, held, well, free_pair, diffusion, flow, ageing)
+ROOMS = (steps, held, well, free_pair, diffusion, flow, ageing, marbles, marble_drag)
 
 
 if __name__ == "__main__":
