@@ -3,7 +3,14 @@
 from dpdjax.engine.choice import cheapest
 from dpdjax.engine.forces import EVERYTHING, UNDAMPED, forces_on, update_lists
 from dpdjax.engine.implicit import ImplicitDrag, damped
-from dpdjax.engine.integrator import Drift, Integrator, VelocityVerlet, drifted, settled
+from dpdjax.engine.integrator import (
+    Drift,
+    Integrator,
+    VelocityVerlet,
+    drifted,
+    settled,
+    with_forces,
+)
 from dpdjax.engine.multistep import MultipleTimeStep
 from dpdjax.model.beads import inertias, masses
 from dpdjax.pairs.sums import Forces
@@ -25,4 +32,5 @@ __all__ = [
     "UNDAMPED",
     "update_lists",
     "VelocityVerlet",
+    "with_forces",
 ]

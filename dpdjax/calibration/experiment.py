@@ -125,7 +125,7 @@ def prepare(
     if integrator is None:
         integrator = cheapest(fluid, density) if dt is None else VelocityVerlet()
     step = suggest_dt(fluid, density, integrator=integrator) if dt is None else dt
-    skin = suggest_skin(fluid, step)
+    skin = suggest_skin(fluid, step, passes=integrator.cost)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
     _check_dt(System.of(fluid, step, None, integrator), state)

@@ -26,6 +26,15 @@ class Part:
 
     ranks: ClassVar[dict[str, int]] = {}
 
+    def __init_subclass__(cls, **kwargs):
+        """The class is a static number of its objects: JAX takes two dataclasses of as many leaves
+        for one structure, and may then run the program of the other."""
+        super().__init_subclass__(**kwargs)
+        cls.__annotations__ = {**cls.__dict__.get("__annotations__", {}), "of_class": type}
+        cls.of_class = dataclasses.field(
+            default=cls, repr=False, compare=False, kw_only=True, metadata={"static": True}
+        )
+
     def batch_axes(self):
         """The ``in_axes`` for ``jax.vmap``: 0 for what is a batch by :attr:`ranks`."""
         axis = lambda x, rank: 0 if jnp.ndim(x) == rank + 1 else None

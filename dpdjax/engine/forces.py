@@ -51,8 +51,15 @@ def forces_on(
             but drag do not depend on the velocity.
         only: places in ``fluid.interactions`` of those that act (static); all by default.
 
-    Returns :class:`Forces`; those of two kinds are added by ``+``.
+    Returns :class:`Forces`; those of two kinds are added by ``+``, and multiplied by a number.
+    Raises ValueError for an unknown kind or velocities of another shape.
     """
+    check_kinds(kinds)
+    if velocity.shape != state.velocity.shape:
+        raise ValueError(
+            f"forces_on: velocities have shape {velocity.shape}, and the state's "
+            f"{state.velocity.shape}"
+        )
     rate = system.flow.rate_at(state.time)
     with jax.named_scope("forces"):
         how = tally, kinds, only
@@ -61,6 +68,13 @@ def forces_on(
         if DRIVEN in kinds:
             total = total + _driven(system, state)
     return total
+
+
+def check_kinds(kinds: tuple[str, ...]) -> None:
+    """Raise ValueError for what is no tuple of kinds of force."""
+    unknown = [kinds] if isinstance(kinds, str) else [k for k in kinds if k not in EVERYTHING]
+    if unknown:
+        raise ValueError(f"kinds has {unknown[0]!r}; they are {', '.join(EVERYTHING)}, in a tuple")
 
 
 def _driven(system, state: State) -> Forces:

@@ -63,9 +63,9 @@ class ImplicitDrag(Integrator):
         return [one for one in super().dt_limits(fluid, density, sizes) if one[0] in kept]
 
     def dt_errors(self, fluid, density, error=advice.ERROR):
-        """That of the potentials: drag and noise keep the temperature at any dt."""
-        kept = (advice.STIFFNESS,)
-        return [one for one in super().dt_errors(fluid, density, error) if one[0] in kept]
+        """Those of the potentials and of motion in a step (:func:`advice.held_errors`): drag and
+        noise keep the temperature at any dt."""
+        return advice.held_errors(fluid, density, error)
 
     def check(self, fluid: Fluid) -> None:
         """Raise ValueError for noise of its own, which no step balances with the drag."""
@@ -86,9 +86,10 @@ class ImplicitDrag(Integrator):
 def damped(system, state: State, key: jax.Array, tally: bool, tolerance, channels=None) -> State:
     """The state with its velocities changed by the drag and the noise of a step.
 
-    Once in a step and after :func:`settled`, whose sums over pairs take the place of all before;
-    ``tally`` (static): those of drag and noise are added to them. ``channels`` as for
-    :func:`frictions_of`.
+    Once in a step, for its noise is keyed by the step, and after :func:`settled`, whose sums over
+    pairs take the place of all before; ``tally`` (static): those of drag and noise are added to
+    them. ``tolerance`` is that of :class:`ImplicitDrag`; ``channels``, by default the places of
+    the interactions in the fluid, key their noise.
     """
     fluid, dt = system.fluid, system.dt
     frictions = frictions_of(fluid, state, system.flow.rate_at(state.time), key, dt, channels)

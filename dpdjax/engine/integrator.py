@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
-from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, check_kinds, forces_on, update_lists
 from dpdjax.engine.rotation import rotation_step
 from dpdjax.engine.state import State
 from dpdjax.model import advice
@@ -24,22 +24,54 @@ from dpdjax.xla import any_in_batch
 class Integrator(Part):
     """What every integrator answers.
 
-    One of your own writes :meth:`step`, of which :func:`drifted`, :func:`forces_on` and
-    :func:`settled` are the parts.
+    One of your own is a frozen dataclass, registered with ``jax.tree_util.register_dataclass``. It
+    writes :meth:`step`, of which :func:`drifted`, :func:`forces_on` and :func:`settled` are the
+    parts, and has numbers (leaves, for gradients) and counts (``dataclasses.field(default=4,
+    metadata={"static": True})``). ``ranks = {"name": 0}`` names the numbers that may differ from
+    member to member of a batch, each with its axes in one member. ``system`` has a ``fluid``, a
+    ``dt``, a ``flow`` (``rate_at``, ``strain_in``) and the integrator.
+
+    :meth:`dt_limits` and :meth:`dt_errors` are those measured for velocity-Verlet unless you write
+    others: a run is refused by the first, and ``suggest_dt`` answers by both, so measure the
+    temperature at a few ``dt`` times :func:`dpdjax.theory.damping_rate`. :meth:`forces` and
+    :meth:`mark_of` are for a force that lacks some interactions between two steps, :attr:`kinds`
+    for one that lacks some kinds: a state with your mark is gone on with as it is.
 
     Attributes:
-        kinds: the kinds of force that the force of a state consists of between two steps. One
-            whose force lacks some interactions too says so in :meth:`forces` and :meth:`mark_of`.
-        cost: a step in units of one of velocity-Verlet (measured: tests/benchmarks/STEPS.md).
+        kinds: the kinds of force that the force of a state consists of between two steps.
+        cost: a step in units of one of velocity-Verlet (measured: tests/benchmarks/STEPS.md), by
+            which lists are planned and :func:`cheapest` chooses among those of the package.
     """
 
     kinds: ClassVar[tuple[str, ...]] = EVERYTHING
     cost: ClassVar[float] = 1.0
 
     def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
-        """The state a step of ``system.dt`` later, its force known; ``tally`` (static): with the
-        sums over pairs."""
+        """The state a step of ``system.dt`` later, its force known.
+
+        ``tally`` (static): with the sums over pairs, which energies and stresses are read off. Hand
+        it to the last evaluation of each kind of force; :class:`Forces` with sums and without add
+        up.
+        """
         raise NotImplementedError(f"{type(self).__name__} has no step(system, state, key, tally)")
+
+    def stepped(self, system, state: State, key: jax.Array, tally: bool) -> State:
+        """:meth:`step`, and TypeError or ValueError for what is no state a step later."""
+        after, name = self.step(system, state, key, tally), type(self).__name__
+        if not isinstance(after, State):
+            raise TypeError(f"step of {name} gives {after!r}; return the state a step later")
+        if after.step is state.step or after.force is state.force:
+            raise ValueError(
+                f"step of {name} gives a state whose step or force is that before it: move the "
+                "beads by drifted(...) and end with settled(...) or with_forces(...)"
+            )
+        old = jax.tree.leaves(state.tally)
+        if tally and any(a is b for a, b in zip(jax.tree.leaves(after.tally), old)):
+            raise ValueError(
+                f"step of {name} leaves the sums over pairs as they were: hand its tally to the "
+                "last forces_on(...) of each kind"
+            )
+        return after
 
     def start(self, system, state: State, key: jax.Array) -> State:
         """The state with its force known, computed now if it was not."""
@@ -66,10 +98,12 @@ class Integrator(Part):
     def mark_of(self, fluid: Fluid) -> int:
         """What a state that this integrator can go on with has in ``started``: its kinds of force,
         as bits."""
+        check_kinds(self.kinds)
         return sum(1 << EVERYTHING.index(kind) for kind in self.kinds)
 
     def check(self, fluid: Fluid) -> None:
-        """Raise TypeError or ValueError, before a run, for a fluid it cannot move."""
+        """Raise TypeError or ValueError, before a run, for a fluid it cannot move or numbers of its
+        own that it cannot have, which may be a batch or traced. By default all are taken."""
 
     def dt_limits(
         self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]
@@ -138,6 +172,10 @@ class Drift(NamedTuple):
 def drifted(system, state: State, lam: ArrayLike) -> tuple[State, Drift]:
     """The beads moved by their velocities and old forces, lists and noise those of the next step.
 
+    The state's ``step`` is one more, and :func:`forces_on` draws the noise of that step; the old
+    force had that of the one before. ``lam`` matters to angular velocities alone, which are those
+    of the state that drag is of; :meth:`Drift.predicted` has the others.
+
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar velocity loses
     ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no jump
     when a bead crosses the boundary. Where the rate changes, the whole box follows at once (SLLOD).
@@ -164,7 +202,10 @@ def carried_along(system, state: State, velocity, move) -> tuple[State, Any]:
 
 
 def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -> State:
-    """The end of a step: velocities by the mean of the old and the new kick, and the new forces."""
+    """The end of a step: velocities by the mean of the old and the new kick, and the new forces.
+
+    To keep another force for the next step, give the result to :func:`with_forces`.
+    """
     dt, fluid = system.dt, system.fluid
     mass = masses(fluid, before)[None]
     velocity = drift.carried + 0.5 * (drift.kick + dt * forces.force.T / mass)

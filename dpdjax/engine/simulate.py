@@ -10,7 +10,7 @@ from dpdjax.checks import is_concrete, prng_key
 from dpdjax.engine import motion, order, soundness
 from dpdjax.engine import status as bits
 from dpdjax.engine.flow import Driving
-from dpdjax.engine.forces import EVERYTHING, forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, check_kinds, forces_on, update_lists
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import Observing, Recorder, averaged, check_names, recorders
 from dpdjax.engine.refusals import check_plan, check_run, list_trouble
@@ -98,7 +98,7 @@ def proceed(
     check_names(how, fluid, state)
     # Interval records need the pair sums of every step; instantaneous ones of the last step only.
     each = any(r.accumulates for r in how)
-    one = lambda state, tally: system.integrator.step(system, state, key, tally)
+    one = lambda state, tally: system.integrator.stepped(system, state, key, tally)
     every = plan.every if trips is None else trips[1]
     ids = state.id
     seen = lambda state: order.in_order_of(state, ids)
@@ -194,7 +194,7 @@ def step(
         check_run(system, state, key)
     system, key = system.as_type(state.position.dtype), prng_key(key)
     state = system.integrator.start(system, state, key)
-    state = system.integrator.step(system, state, key, True)
+    state = system.integrator.stepped(system, state, key, True)
     trouble = list_trouble(system.fluid, state) | motion.trouble(system.fluid, state, system.dt)
     return _judged(state, trouble)
 
@@ -220,12 +220,11 @@ def forces(
     virials. Pure; NaN where a list overflowed, for which ``dpd.grow(state)`` makes room. Raises
     ValueError for an unknown kind, and as :func:`simulate` does.
     """
-    unknown = [kind for kind in kinds if kind not in EVERYTHING]
-    if unknown:
-        raise ValueError(f"kinds has {unknown[0]!r}; they are {', '.join(EVERYTHING)}")
+    check_kinds(kinds)
+    kinds = tuple(kinds)
     system = System.of(fluid, dt, flow)
     check_run(system, state, key)
     system = system.as_type(state.position.dtype)
     state = update_lists(state)
-    found = forces_on(system, state, state.velocity, prng_key(key), True, tuple(kinds))
+    found = forces_on(system, state, state.velocity, prng_key(key), True, kinds)
     return bits.poison(found, list_trouble(system.fluid, state), (system, state))

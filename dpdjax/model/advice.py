@@ -40,15 +40,23 @@ FREEZE, FREEZE_POWER = 1.2, 3.7
 THIN, THICK = 0.15, 1.6
 """Errors of velocity-Verlet, as :func:`dt_errors` has them (measured:
 tests/physics/INTEGRATORS.md)."""
+HELD, MOVED = 0.0035, 2.0
+"""Errors of drag by the midpoint rule, as :func:`held_errors` has them (measured there too)."""
 
 
-ERRING = TEMPERATURE, STIFFNESS, *_ = (
+ERRING = TEMPERATURE, STIFFNESS, STRONG_DRAG, STRUCTURE = (
     "temperature",
     "configurational temperature of a stiff repulsion",
     "configurational temperature at strong drag",
     "structure at strong drag",
 )
 """What errs, as :func:`dt_errors` names it."""
+ERRING_HELD = (
+    STIFFNESS,
+    "viscosity, drag held in a step",
+    "diffusion, drag held in a step",
+)
+"""What errs, as :func:`held_errors` names it."""
 _close = f"the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours"
 LIMITS = DRAG, REPULSION, LUBRICATION, CONTACT = (
     "drag: dt times the damping rate of a bead is to stay below 0.5",
@@ -107,6 +115,27 @@ def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tu
     return list(zip(ERRING, (min(limits) for limits in zip(*cases))))
 
 
+def held_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tuple[str, float]]:
+    """As :func:`dt_errors`, for drag by the midpoint rule, its pairs held for a step.
+
+    The temperature is right at any dt. In the units there, the configurational temperature of beads
+    that repel each other errs as there; the viscosity by ``0.007 (w dt)^2`` and the diffusion by
+    ``-4 dt^2``, of which twice ``error`` is allowed.
+    """
+    cases = (_held(case, density, error) for case in worst_cases(fluid))
+    return list(zip(ERRING_HELD, (min(limits) for limits in zip(*cases))))
+
+
+def _held(numbers, density, error: float) -> tuple[float, float, float]:
+    repels = any(pair_frequency(numbers, i) > 0 for i in numbers.interactions)
+    _, stiff, _, _ = _errors(numbers, density, error)
+    return (
+        stiff if repels else math.inf,
+        over(math.sqrt(error / HELD), damping_rate(numbers, density)),
+        math.sqrt(error / MOVED) * thermal_time(solvent_of(numbers)),
+    )
+
+
 def _errors(numbers, density, error: float) -> tuple[float, float, float, float]:
     """The dt at which each of the errors of :func:`dt_errors` is ``error``."""
     kT, rate = float(numbers.kT), damping_rate(numbers, density)
@@ -153,11 +182,14 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
     )
 
 
-def suggest_skin(fluid: Fluid, dt: ArrayLike, interaction: int = 0, sorting: float = 0.0) -> float:
+def suggest_skin(
+    fluid: Fluid, dt: ArrayLike, interaction: int = 0, sorting: float = 0.0, passes: float = 1.0
+) -> float:
     """The skin of one list that costs least: wide lists hold more pairs, narrow ones are built more
     often.
 
-    ``sorting``: what a rebuild costs besides, in units of one force pass over the list.
+    ``sorting``: what a rebuild costs besides, in units of one force pass over the list; ``passes``:
+    what a step costs in these units, the ``cost`` of its integrator.
     """
     numbers = extreme(fluid)
     reach = numbers.reaches()[interaction]
@@ -165,7 +197,7 @@ def suggest_skin(fluid: Fluid, dt: ArrayLike, interaction: int = 0, sorting: flo
     fastest = sum(4.5 * math.sqrt(float(numbers.kT) / lightest(numbers, group)) for group in groups)
     skins = np.round(np.linspace(0.02, 0.6, 59), 2) * reach
     rebuilds = fastest * float(np.max(np.asarray(dt))) / skins
-    cost = (1 + skins / reach) ** 3 * (1 + REBUILD_COST * rebuilds) + sorting * rebuilds
+    cost = (1 + skins / reach) ** 3 * (passes + REBUILD_COST * rebuilds) + sorting * rebuilds
     return float(skins[np.argmin(cost)])
 
 

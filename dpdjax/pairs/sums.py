@@ -57,6 +57,12 @@ class Forces(NamedTuple):
     torque: Any
     tally: Tally | None
 
+    def __mul__(self, share) -> "Forces":
+        """A share of them."""
+        return Forces(*jax.tree.map(lambda x: share * x, tuple(self)))
+
+    __rmul__ = __mul__
+
     def __add__(self, more: "Forces") -> "Forces":
         """Both together: of other kinds, other pairs, bonds, drivers."""
         both = lambda mine, other: (
