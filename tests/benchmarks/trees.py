@@ -43,7 +43,10 @@ def jobs():
     start = dpd.initial_state(water, key, box=10.0, density=3.0)
     still = run(water, start, key, 0.01, dpd.Plan(10, 10)).final
     many = dpd.initial_state(water, key, box=16.0, density=3.0)
-    made = dpd.suspension(key, phi=0.2, box=10.0, kT=0.1, gamma=4.5, D0=1.2, report=None)
+    verlet = dpd.integrators.VelocityVerlet()
+    made = dpd.suspension(
+        key, phi=0.2, box=10.0, kT=0.1, gamma=4.5, D0=1.2, integrator=verlet, report=None
+    )
     marble = dpd.marbles(key, box=10.0, report=None)
     gammas, keys = jnp.array([2.0, 4.5, 9.0]), jax.random.split(key, 3)
     short = dpd.Plan(8, 2)

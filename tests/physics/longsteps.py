@@ -135,8 +135,10 @@ def held():
 
 
 def well():
-    """g(h) of a dilute pair with Morse attraction of 2 kT and hard contacts, colloid-solvent
-    repulsion off and drag on"""
+    """g(h) of a dilute pair with Morse attraction of 2 kT and hard contacts
+
+    Repulsion between colloid and solvent off, drag on.
+    """
     until, count = 0.3, 6
     morse = dpd.term(dpd.laws.morse, D0=0.2, kappa=30.0, r0=0.0, reach=1.0)
     wall = dpd.term(suspensions.hold_near, stiffness=40.0, until=until, reach=1.0)
@@ -234,7 +236,8 @@ ORIGINS = ("kinetic", "conservative", "contact", "drag", "colloid", "lubrication
 def flow():
     """Viscosity of hard suspensions, and the stress by origin
 
-    References are those of SUSPENSIONS.md, by velocity-Verlet at dt 0.0004.
+    References are those of SUSPENSIONS.md, by velocity-Verlet at dt 0.0004: one box for each, whose
+    errors do not know how colloids came to lie; those of the parts are not told there.
     """
     rows, rate = [], 0.15
     for phi in (0.05, 0.1, 0.2):
@@ -262,7 +265,8 @@ def ageing():
 
     Eight boxes, each from one settled hard suspension, by both integrators. Times are since the
     attraction was switched on; tau is 179. Velocity-Verlet runs at half the step that lubrication
-    allows it: at the whole of it the pairs that touch are cold, and more of them stay.
+    allows it: at the whole of it colloids were at 0.9931(31) kT, and their contact number at the
+    end 1.156(44).
     """
     reached = {}
     for seed in range(8):

@@ -1,8 +1,8 @@
 """Judges the production measurements; run ``python -m pytest -m slow``.
 
 Each test measures its room afresh (in single precision, as users run) and rewrites RESULTS.md,
-SUSPENSIONS.md or MARBLES.md. The drag of a marble is judged by the pieces of marbles.csv, which
-took hours.
+SUSPENSIONS.md, LONGSTEPS.md or MARBLES.md. The drag of a marble is judged by the
+pieces of marbles.csv, which took hours.
 """
 
 import json
@@ -190,3 +190,20 @@ def test_marbles_diffuse_as_spheres_whose_slip_is_tuned():
     assert few.value - pulled.value > 3 * few.error and pulled.value > many.value - 3 * many.error
     radius, _ = rows["hydrodynamic radius", "L 10, gamma_cs 5, L 15, gamma_cs 5, L 20, gamma_cs 5"]
     assert 2.9 < radius.value < 3.4
+
+
+def of_long_steps(room):
+    return measured(room, "longsteps.py", "longsteps.json")
+
+
+@pytest.mark.parametrize("room", ["held", "marbles"])
+def test_temperatures_at_the_long_step(room):
+    assert all(within(pair, 0.01) for pair in of_long_steps(room).values())
+
+
+@pytest.mark.parametrize("room", ["flow", "ageing", "diffusion"])
+def test_motion_and_flow_at_the_long_step(room):
+    """As by velocity-Verlet at a step a thirtieth as long; parts of a stress within 0.02 of it."""
+    for (name, _), pair in of_long_steps(room).items():
+        small = abs(pair[0].value - getattr(pair[1], "value", pair[1])) < 0.02
+        assert small or within(pair, 0.02, 2.5), (name, pair)
