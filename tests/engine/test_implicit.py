@@ -12,7 +12,7 @@ import pytest
 from marble import DT, FLOW
 
 import dpdjax as dpd
-from dpdjax.engine import implicit, order
+from dpdjax.engine import compiling, implicit, order
 from dpdjax.engine.forces import forces_on
 from dpdjax.engine.system import System
 from dpdjax.measure.statistics import block_average
