@@ -1,5 +1,7 @@
 """Which integrator covers most time for its cost."""
 
+import contextlib
+
 from jax.typing import ArrayLike
 
 from dpdjax.engine.implicit import ImplicitDrag
@@ -25,17 +27,13 @@ def cheapest(
     Args:
         fluid, density, sizes, error: as for :func:`dpdjax.suggest_dt`.
     """
-    ways = [VelocityVerlet(), ImplicitDrag()]
-    if can_move(MultipleTimeStep(), fluid):
-        ways.append(MultipleTimeStep.suited_to(fluid, density, sizes, error=error))
-    covered = lambda how: suggest_dt(fluid, density, sizes, integrator=how, error=error) / how.cost
-    return max((how for how in ways if can_move(how, fluid)), key=covered)
-
-
-def can_move(how: Integrator, fluid: Fluid) -> bool:
-    """Whether an integrator takes a fluid."""
-    try:
-        how.check(fluid)
-    except (TypeError, ValueError):
-        return False
-    return True
+    stepwise = lambda: MultipleTimeStep.suited_to(fluid, density, sizes, error=error)
+    found = [(0.0, VelocityVerlet())]
+    for make in (VelocityVerlet, ImplicitDrag, stepwise):
+        # An integrator that cannot move the fluid says so, as does one whose step nothing limits.
+        with contextlib.suppress(TypeError, ValueError):
+            how = make()
+            how.check(fluid)
+            dt = suggest_dt(fluid, density, sizes, integrator=how, error=error)
+            found.append((dt / how.cost, how))
+    return max(found, key=lambda one: one[0])[1]

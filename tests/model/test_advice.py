@@ -234,6 +234,8 @@ def test_the_integrator_that_covers_most_time(made):
     loud = dpd.term(dpd.central_drag, gamma=90.0, r_c=1.0)
     literal = dpd.fluid(interactions=[dpd.interaction((0, 0), [], among.drag, loud)], kT=1.0)
     assert isinstance(cheapest(literal, 3.0), dpd.integrators.VelocityVerlet)
+    # Nothing limits the implicit step of beads at rest, which is no reason to refuse them.
+    assert isinstance(cheapest(gas.set(kT=0.0), 3.0), dpd.integrators.VelocityVerlet)
 
 
 def test_a_run_warns_and_goes_on(made, key, monkeypatch):
