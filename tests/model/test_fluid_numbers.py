@@ -130,7 +130,9 @@ def test_a_suspension_tells_its_energies_in_kT():
         size=np.ones(2),
         n=2,
     )
-    made = Suspension(dpd.colloid_fluid(kT=0.1, D0=8.0), state, 0.1, 56.5, 1e-3)
+    made = Suspension(
+        dpd.colloid_fluid(kT=0.1, D0=8.0), state, 0.1, 56.5, 1e-3, dpd.integrators.VelocityVerlet()
+    )
     assert (
         "between colloids: contact 2.5 kT at contact; morse -80 kT at contact, 80 kT deep at h = 0"
         in str(made)
