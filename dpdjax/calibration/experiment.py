@@ -14,7 +14,7 @@ import numpy as np
 from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
-from dpdjax.engine.choice import cheapest
+from dpdjax.engine.choice import suited
 from dpdjax.engine.chunk import begun, complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.members import called
@@ -122,9 +122,7 @@ def prepare(
             "dpd.pure_solvent(fluid)"
         )
     build_key, noise_key = jax.random.split(key)
-    if integrator is None:
-        integrator = cheapest(fluid, density) if dt is None else VelocityVerlet()
-    step = suggest_dt(fluid, density, integrator=integrator) if dt is None else dt
+    integrator, step = suited(fluid, density, integrator=integrator, dt=dt)
     skin = suggest_skin(fluid, step, passes=integrator.cost)
     build = functools.partial(initial_state, fluid, box=side, density=density, skin=skin)
     state = jax.vmap(build)(jax.random.split(build_key, boxes))
@@ -399,7 +397,7 @@ def window_tangents(ensemble, fluid, names, k, dt, plan):
             functions=how,
             making=lambda: ensemble.report("compiling"),
         )
-        slopes, after = slopes[:, : plan.frames], jax.tree.map(jnp.asarray, after)
+        slopes = slopes[:, : plan.frames]
         status = np.bitwise_or.reduce(np.asarray(after.status))
         if not status:
             ensemble.state = after

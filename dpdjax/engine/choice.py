@@ -11,6 +11,23 @@ from dpdjax.model.advice import ERROR, suggest_dt
 from dpdjax.model.fluid import Fluid
 
 
+def suited(
+    fluid: Fluid,
+    density: ArrayLike,
+    sizes: tuple[float, float] = (1.0, 1.0),
+    *,
+    integrator: Integrator | None = None,
+    dt: float | None = None,
+) -> tuple[Integrator, float]:
+    """An integrator and a time step that suit a fluid where they are not given: the cheapest, but
+    velocity-Verlet for a step that is given, and the step that ``suggest_dt`` has for it."""
+    if integrator is None:
+        integrator = VelocityVerlet() if dt is not None else cheapest(fluid, density, sizes)
+    if dt is None:
+        dt = suggest_dt(fluid, density, sizes, integrator=integrator)
+    return integrator, dt
+
+
 def cheapest(
     fluid: Fluid,
     density: ArrayLike,

@@ -83,7 +83,6 @@ def replayed(
             functions=how,
             making=compiling,
         )
-        after = jax.tree.map(jnp.asarray, after)
         status = np.asarray(after.status)
         # A member that failed may overflow any list: it is given up, and decides nothing for the
         # others.
@@ -137,7 +136,7 @@ def begun(system: System, state: State, key) -> State:
     By a program of its own, which runs of one fluid that record other things share.
     """
     is_known = np.all(np.asarray(state.started) == system.integrator.mark_of(system.fluid))
-    return state if is_known else jax.tree.map(jnp.asarray, called(_begun, system, state, key))
+    return state if is_known else called(_begun, system, state, key)
 
 
 @jax.jit

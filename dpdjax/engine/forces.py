@@ -54,7 +54,7 @@ def forces_on(
     Returns :class:`Forces`; those of two kinds are added by ``+``, and multiplied by a number.
     Raises ValueError for an unknown kind or velocities of another shape.
     """
-    check_kinds(kinds)
+    check_kinds_of_force(kinds)
     if velocity.shape != state.velocity.shape:
         raise ValueError(
             f"forces_on: velocities have shape {velocity.shape}, and the state's "
@@ -70,7 +70,7 @@ def forces_on(
     return total
 
 
-def check_kinds(kinds: tuple[str, ...]) -> None:
+def check_kinds_of_force(kinds: tuple[str, ...]) -> None:
     """Raise ValueError for what is no tuple of kinds of force."""
     unknown = [kinds] if isinstance(kinds, str) else [k for k in kinds if k not in EVERYTHING]
     if unknown:

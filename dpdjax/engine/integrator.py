@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
-from dpdjax.engine.forces import EVERYTHING, check_kinds, forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, check_kinds_of_force, forces_on, update_lists
 from dpdjax.engine.rotation import rotation_step
 from dpdjax.engine.state import State
 from dpdjax.model import advice
@@ -98,7 +98,7 @@ class Integrator(Part):
     def mark_of(self, fluid: Fluid) -> int:
         """What a state that this integrator can go on with has in ``started``: its kinds of force,
         as bits."""
-        check_kinds(self.kinds)
+        check_kinds_of_force(self.kinds)
         return sum(1 << EVERYTHING.index(kind) for kind in self.kinds)
 
     def check(self, fluid: Fluid) -> None:

@@ -26,8 +26,8 @@ def called(
 
     An accelerator has all members side by side in one program, which the function is to be of. A
     CPU, whose caches hold one box but not many, has the program of a single run, each member on a
-    core of its own, as many at a time as there are cores: results are arrays of the host then.
-    ``functions`` and ``making`` are those of :func:`compiling.program`.
+    core of its own, as many at a time as there are cores. ``functions`` and ``making`` are those of
+    :func:`compiling.program`.
     """
     is_apart = bool(key.ndim) and on_cpu()
     # Arrays, weak as they were: what a plain number is another thread would decide by its settings.
@@ -35,7 +35,9 @@ def called(
     of = lambda k: (system.member(k), _taken(state, k), key[k], *rest)
     arguments = of(0) if is_apart else (system, state, key, *rest)
     program = compiling.program(function, arguments, static or {}, functions, making)
-    return on_cores(program, of, len(key)) if is_apart else program(*arguments)
+    if not is_apart:
+        return program(*arguments)
+    return jax.tree.map(jnp.asarray, on_cores(program, of, len(key)))
 
 
 def cores() -> int:

@@ -10,7 +10,7 @@ from dpdjax.checks import is_concrete, prng_key
 from dpdjax.engine import motion, order, soundness
 from dpdjax.engine import status as bits
 from dpdjax.engine.flow import Driving
-from dpdjax.engine.forces import EVERYTHING, check_kinds, forces_on, update_lists
+from dpdjax.engine.forces import EVERYTHING, check_kinds_of_force, forces_on, update_lists
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import Observing, Recorder, averaged, check_names, recorders
 from dpdjax.engine.refusals import check_plan, check_run, list_trouble
@@ -220,7 +220,7 @@ def forces(
     virials. Pure; NaN where a list overflowed, for which ``dpd.grow(state)`` makes room. Raises
     ValueError for an unknown kind, and as :func:`simulate` does.
     """
-    check_kinds(kinds)
+    check_kinds_of_force(kinds)
     kinds = tuple(kinds)
     system = System.of(fluid, dt, flow)
     check_run(system, state, key)

@@ -44,7 +44,7 @@ HELD, MOVED = 0.007, 4.0
 """Errors of drag by the midpoint rule, as :func:`held_errors` has them (measured there too)."""
 
 
-ERRING = TEMPERATURE, STIFFNESS, STRONG_DRAG, STRUCTURE = (
+ERRING = TEMPERATURE, STIFFNESS, *_ = (
     "temperature",
     "configurational temperature of a stiff repulsion",
     "configurational temperature at strong drag",

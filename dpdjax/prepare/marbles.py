@@ -9,10 +9,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import positive, prng_key
-from dpdjax.engine.choice import cheapest
-from dpdjax.engine.integrator import Integrator, VelocityVerlet
+from dpdjax.engine.choice import suited
+from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
-from dpdjax.model.advice import suggest_dt
 from dpdjax.model.colloids import COLLOID, SOLVENT, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
@@ -157,16 +156,13 @@ def marbles(
     # Outside the wall, where its energy is at most kT.
     clearance = float(closest(fluid, most=1.0)[SOLVENT, COLLOID])
     counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
-    numbers = fluid, np.asarray(counts) / volume
-    if integrator is None:
-        integrator = cheapest(*numbers) if dt is None else VelocityVerlet()
-    dt = suggest_dt(*numbers, integrator=integrator) if dt is None else float(dt)
+    integrator, dt = suited(fluid, np.asarray(counts) / volume, integrator=integrator, dt=dt)
     grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(
         key, space, np.concatenate([np.zeros(counts[0]), radii]), clearance=clearance
     )
     state = placed(fluid, key, space, position, counts, grids)
-    made = Marbles(fluid, state, dt, integrator)
+    made = Marbles(fluid, state, float(dt), integrator)
     if report is not None:
         report(str(made))
     return made

@@ -9,10 +9,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import positive, prng_key
-from dpdjax.engine.choice import cheapest
-from dpdjax.engine.integrator import Integrator, VelocityVerlet
+from dpdjax.engine.choice import suited
+from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
-from dpdjax.model.advice import suggest_dt
 from dpdjax.model.colloids import COLLOID, SOLVENT, colloid_fluid, diffusion_time, sphere_volume
 from dpdjax.model.declare import name_of
 from dpdjax.model.fluid import Fluid
@@ -167,13 +166,11 @@ def suspension(
     counts = (solvents, len(radii))
     size = np.concatenate([np.ones(solvents), radii / mean])
     numbers = fluid, np.asarray(counts) / volume, (size.min(), size.max())
-    if integrator is None:
-        integrator = cheapest(*numbers) if dt is None else VelocityVerlet()
-    dt = suggest_dt(*numbers, integrator=integrator) if dt is None else float(dt)
+    integrator, dt = suited(*numbers, integrator=integrator, dt=dt)
     grids = plan_lists(fluid, space, counts, size=size, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(key, space, np.concatenate([np.zeros(solvents), radii]))
     state = placed(fluid, key, space, position, counts, grids, size=size)
-    made = Suspension(fluid, state, placed_phi, float(diffusion_time(fluid)), dt, integrator)
+    made = Suspension(fluid, state, placed_phi, float(diffusion_time(fluid)), float(dt), integrator)
     if report is not None:
         report(str(made))
     return made

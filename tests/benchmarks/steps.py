@@ -102,7 +102,7 @@ def suspended(name, numbers) -> str:
     duration = 800 * made[0].dt
     turns = [[go(duration) for go in cases] for _ in range(ROUNDS)]
     ratio = statistics.median(old / new for old, new in turns)
-    cost = ratio and made[1].dt / made[0].dt / ratio
+    cost = made[1].dt / made[0].dt / ratio
     spent = [made[0].tau / duration * statistics.median(t) for t in zip(*turns)]
     dts = f"{made[0].dt:.5f} | {made[1].dt:.4f}, {made[1].integrator.inner} short"
     print(name, dts, ratio, cost, spent, flush=True)
