@@ -28,14 +28,17 @@ _HOMES = {
     "dpdjax.measure.statistics": ["Estimate"],
     "dpdjax.measure.transport": ["diffusion"],
     "dpdjax.measure.viscosity": ["shear_viscosity"],
-    "dpdjax.calibration.calibrate": ["TargetError", "calibrate", "measure_viscosity"],
+    "dpdjax.calibration.calibrate": ["calibrate", "measure_viscosity"],
     "dpdjax.calibration.relative": ["relative_viscosity"],
     "dpdjax.host.bench": ["bench"],
     "dpdjax.host.compilation": ["compilation_cache"],
     "dpdjax.host.run": ["run"],
-    "dpdjax.host.stream": ["RunError", "stream"],
-    "dpdjax.host.gsd": ["gsd_writer", "run_to_gsd", "write_gsd"],
-    "dpdjax.host.io": ["load_state", "save_state"],
+    "dpdjax.host.stream": ["stream"],
+    "dpdjax.errors": ["DPDError", "FileError", "RunError", "Stopped", "TargetError"],
+    "dpdjax.files.checkpoint": ["Checkpoint"],
+    "dpdjax.files.gsd": ["GSD", "gsd_writer", "write_gsd"],
+    "dpdjax.files.loading": ["load_gsd"],
+    "dpdjax.files.states": ["load_state", "save_state"],
     "dpdjax.host.plot": ["plot_box"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -59,7 +62,7 @@ _ELSEWHERE = {
     "box": "Box",
     "simulation": "simulate",
     "dump": "write_gsd",
-    "gsd": "write_gsd",
+    "run_to_gsd": "run",
     "restart": "load_state",
 }
 """What it is called in other programs, and here."""

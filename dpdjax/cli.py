@@ -403,9 +403,7 @@ def _run_to(path, made, state, key, plan, flow, how):
     """The run, with its frames in a GSD file where one is wanted."""
     import dpdjax as dpd
 
-    if path is None:
-        return dpd.run(made.fluid, state, key, made.dt, plan, flow, **how)
-    return dpd.run_to_gsd(path, made.fluid, state, key, made.dt, plan, flow, **how)
+    return dpd.run(made.fluid, state, key, made.dt, plan, flow, out=path, **how)
 
 
 def _contacts(made, state) -> float:

@@ -14,7 +14,7 @@ from dpdjax.engine.observables import (
     temperature,
 )
 from dpdjax.engine.record import Recorder, integral, mean
-from dpdjax.host.gsd import gsd_record
+from dpdjax.files.gsd import gsd_record
 from dpdjax.measure.viscosity import (
     einstein_helfand_record,
     green_kubo_record,

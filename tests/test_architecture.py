@@ -13,8 +13,8 @@ import dpdjax
 
 ROOT = pathlib.Path(dpdjax.__file__).parent
 ROOMS = ["model", "pairs", "engine", "prepare", "measure", "calibration"]
-HELPERS = ["checks", "drawing", "xla"]
-HOST = {"host", "cli"}
+HELPERS = ["checks", "drawing", "errors", "xla"]
+HOST = {"files", "host", "cli"}
 PAIRS = "box noise cells geometry laws sums kernels neighbours forces friction".split()
 ENGINE = (
     "compensated compiling status batching rotation state answers deformation drivers flow order "

@@ -26,6 +26,7 @@ from dpdjax.checks import number, positive, prng_key
 from dpdjax.engine.compiling import Clock
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
+from dpdjax.errors import TargetError
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import drag_viscosity, thermal_time
@@ -38,14 +39,6 @@ NEAR = 0.1
 may be biased."""
 SLOPE_SAMPLES = 8
 """Tangent windows per point, over all boxes."""
-
-
-class TargetError(ValueError):
-    """A target no parameter reaches; ``history`` holds what was measured."""
-
-    def __init__(self, message, history):
-        super().__init__(message)
-        self.history = history
 
 
 @dataclasses.dataclass(frozen=True)

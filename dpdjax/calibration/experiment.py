@@ -381,7 +381,8 @@ def measure_slopes(
 def window_tangents(ensemble, fluid, names, k, dt, plan):
     """One window for all boxes along parameter ``k`` of those named, replayed with larger lists
     where one overflows."""
-    trips, shape = trips_of(plan), shape_of(plan, ensemble.beads)
+    shape = shape_of(plan, ensemble.beads)
+    trips = trips_of(plan, shape.frames)
     how = tuple(recorders(mean(ensemble.goal.observe)))
     along = np.eye(len(names))[k]
     for _ in range(8):

@@ -69,9 +69,9 @@ def replayed(
     program as far as :func:`shape_of` goes, or that of another plan is given, with as much room for
     frames; ``compiling()`` is called before another is made.
     """
-    trips = trips_of(plan)
     beads = int(np.prod(state.position.shape[:-1]))
     shape = shape_of(plan, beads) if shape is None else shape
+    trips = trips_of(plan, shape.frames)
     for _ in range(MAX_GROWTHS):
         after, frames = called(
             _compiled,
@@ -99,18 +99,25 @@ ROOM, WIDER, KEPT = 64, 4, 2**22
 factor there is more."""
 
 
+def room_for(beads: int) -> int:
+    """Most frames that a piece of a run is to hold."""
+    return max(1, KEPT // beads)
+
+
 def shape_of(plan: Plan, beads: int) -> Plan:
     """What of a plan is compiled: room for its frames, of few sizes, and how often the beads are
     sorted."""
-    room = max(1, min(ROOM, KEPT // beads))
+    room = min(ROOM, room_for(beads))
     while room < plan.frames:
         room *= WIDER
-    return Plan(room, order.LASTS if plan.every >= order.LASTS else 1)
+    return Plan(room, order.LASTS if np.max(plan.intervals) >= order.LASTS else 1)
 
 
-def trips_of(plan: Plan):
-    """The frames of a plan and the steps between two, as numbers given to a program."""
-    return np.int32(plan.frames), np.int32(plan.every)
+def trips_of(plan: Plan, room: int):
+    """The frames of a plan and the steps before each (room,), as numbers given to a program."""
+    intervals = np.zeros(room, np.int32)
+    intervals[: plan.frames] = plan.intervals
+    return np.int32(plan.frames), intervals
 
 
 def without_failed(before: State, after: State, frames: dict):

@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, prng_key
@@ -88,10 +89,10 @@ def proceed(
 ) -> Trajectory:
     """:func:`advance` from a state whose force is known.
 
-    ``trips``, a pair of whole numbers, are the frames and the steps between two in place of those
-    of the plan, and no part of the program; the plan then gives the room for frames, and whether
-    the beads are sorted before each (``every >= LASTS``). Forward mode goes through, reverse mode
-    does not.
+    ``trips``, the number of frames and the steps before each of them, stand in place of those of
+    the plan, and are no part of the program; the plan then gives the room for frames, and whether
+    the beads are sorted before each (``every >= LASTS``). Forward mode goes through these, and
+    through frames that are not evenly spaced; reverse mode does not.
     """
     system = system.as_type(state.position.dtype)
     fluid, dt = system.fluid, system.dt
@@ -99,12 +100,12 @@ def proceed(
     # Interval records need the pair sums of every step; instantaneous ones of the last step only.
     each = any(r.accumulates for r in how)
     one = lambda state, tally: system.integrator.stepped(system, state, key, tally)
-    every = plan.every if trips is None else trips[1]
+    is_sorted_anew = int(np.max(plan.intervals)) >= order.LASTS
     ids = state.id
     seen = lambda state: order.in_order_of(state, ids)
 
-    def frame(state, _):
-        if plan.every >= order.LASTS:
+    def frame(state, every):
+        if is_sorted_anew:
             state = order.in_cell_order(state)
         state, sums = run_interval(state, one, every, how, fluid, each, seen)
         values = {"step": state.step, "time": state.time}
@@ -114,26 +115,34 @@ def proceed(
         return _judged(state, motion.trouble(fluid, state, dt)), values
 
     state = _judged(state, list_trouble(fluid, state))
-    if plan.every < order.LASTS:
+    if not is_sorted_anew:
         state = order.in_cell_order(state)
     if trips is None:
-        body = jax.checkpoint(frame) if remat else frame
-        final, frames = jax.lax.scan(body, state, length=plan.frames)
+        final, frames = _all_frames(frame, state, plan, remat)
     else:
-        final, frames = scanned(frame, state, plan.frames, trips[0])
+        final, frames = scanned(frame, state, plan.frames, *trips)
     final = _judged(final, list_trouble(fluid, final))
     return Trajectory(seen(final), frames, system, plan.every, means=averaged(how, fluid, state))
 
 
-def scanned(frame, state, room: int, count):
-    """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program; the frames beyond
-    it, up to ``room``, are 0."""
-    shapes = jax.eval_shape(frame, state, None)[1]
+def _all_frames(frame, state, plan: Plan, remat: bool):
+    """``frame(state, every)`` for each frame of a plan; the final state, and the frames."""
+    if plan.schedule:
+        body = jax.checkpoint(frame) if remat else frame
+        return jax.lax.scan(body, state, jnp.asarray(plan.intervals, jnp.int32))
+    one = lambda state, _: frame(state, plan.every)
+    return jax.lax.scan(jax.checkpoint(one) if remat else one, state, length=plan.frames)
+
+
+def scanned(frame, state, room: int, count, intervals):
+    """``lax.scan`` of ``frame`` over a ``count`` that is no part of the program, each after one of
+    the ``intervals`` (room,); the frames beyond it, up to ``room``, are 0."""
+    shapes = jax.eval_shape(frame, state, intervals[0])[1]
     empty = jax.tree.map(lambda s: jnp.zeros((room, *s.shape), s.dtype), shapes)
 
     def body(k, carry):
         state, frames = carry
-        state, values = frame(state, None)
+        state, values = frame(state, intervals[k])
         put = lambda kept, value: jax.lax.dynamic_update_index_in_dim(kept, value, k, 0)
         return state, jax.tree.map(put, frames, values)
 

@@ -1,11 +1,13 @@
 """How much to run, and what a run leaves behind."""
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax import drawing
 from dpdjax.engine.batching import chosen
@@ -23,25 +25,83 @@ class Plan:
 
     Attributes:
         frames: recorded frames.
-        every: steps between two frames.
+        every: steps between two frames; None where they are not evenly spaced.
+        schedule: the steps, counted from the start, at which frames are that are not evenly spaced;
+            see :meth:`at` and :meth:`logarithmic`.
     """
 
     frames: int
-    every: int = 1
+    every: int | None = 1
+    schedule: tuple[int, ...] = ()
 
     def __post_init__(self):
+        if self.schedule:
+            _check_schedule(self)
+            return
         for name in ("frames", "every"):
-            value = getattr(self, name)
-            whole = isinstance(value, (int, float, np.number)) and value % 1 == 0
-            if isinstance(value, bool) or not whole or value < 1:
-                raise ValueError(
-                    f"Plan {name} is {value!r}; it must be a whole number of at least 1"
-                )
-            object.__setattr__(self, name, int(value))
+            object.__setattr__(self, name, _whole(getattr(self, name), f"Plan {name}"))
+
+    @classmethod
+    def at(cls, steps: ArrayLike) -> "Plan":
+        """Frames after these numbers of steps from the start, which rise; of times they are
+        ``np.unique(np.rint(times / dt))``.
+
+        Measures of moments (structure, contacts, sizes) take such runs; those that follow beads or
+        average over time need evenly spaced frames and refuse them.
+        """
+        steps = [_whole(step, "a step of Plan.at") for step in np.ravel(np.asarray(steps)).tolist()]
+        if not steps:
+            raise ValueError("Plan.at has no steps; give one or more")
+        if steps == list(range(steps[0], steps[-1] + 1, steps[0])):
+            return cls(len(steps), steps[0])
+        return cls(len(steps), None, tuple(steps))
+
+    @classmethod
+    def logarithmic(cls, steps: int, *, first: int = 1, per_decade: int = 10) -> "Plan":
+        """Frames at steps that grow by a factor, ``per_decade`` in each ten, from ``first`` to
+        ``steps``: for what ages, such as a gel. Where two fall upon one step there is one."""
+        steps, first = _whole(steps, "steps"), _whole(first, "first")
+        per_decade = _whole(per_decade, "per_decade")
+        if first >= steps:
+            raise ValueError(f"first is {first}; it must be below steps, {steps}")
+        count = max(2, 1 + round(per_decade * math.log10(steps / first)))
+        return cls.at(np.unique(np.rint(np.geomspace(first, steps, count)).astype(int)))
 
     @property
     def steps(self) -> int:
-        return self.frames * self.every
+        """Steps in all."""
+        return self.schedule[-1] if self.schedule else self.frames * self.every
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Steps before each frame since the one before it (frames,)."""
+        if self.schedule:
+            return np.diff(np.asarray(self.schedule), prepend=0)
+        return np.full(self.frames, self.every)
+
+    def part(self, begin: int, frames: int) -> "Plan":
+        """That of some frames in turn, from number ``begin`` on."""
+        if not self.schedule:
+            return Plan(frames, self.every)
+        start = self.schedule[begin - 1] if begin else 0
+        return Plan.at(np.asarray(self.schedule[begin : begin + frames]) - start)
+
+
+def _check_schedule(plan: Plan):
+    rising = all(b > a for a, b in zip((0, *plan.schedule), plan.schedule))
+    if not rising or plan.every is not None or len(plan.schedule) != plan.frames:
+        raise ValueError(
+            f"the frames are at the steps {plan.schedule[:8]}; give steps that rise from 1 or "
+            "more, dpd.Plan.at([...])"
+        )
+
+
+def _whole(value, name: str) -> int:
+    """``value`` as an integer; ValueError unless it is a whole number of at least 1."""
+    whole = isinstance(value, (int, float, np.number)) and value % 1 == 0
+    if isinstance(value, bool) or not whole or value < 1:
+        raise ValueError(f"{name} is {value!r}; it must be a whole number of at least 1")
+    return int(value)
 
 
 @jax.tree_util.register_dataclass
@@ -55,7 +115,7 @@ class Trajectory:
             ``time`` and ``step``. A batched run has the batch in front of the frames.
         system: what was run, for the measurements that need it; ``fluid``, ``flow`` and ``dt`` are
             its own.
-        every: steps between two frames (static).
+        every: steps between two frames (static); None where they are not evenly spaced.
         complete: whether all planned frames are there (static).
         means: names of those frames that are means over their interval (static).
         failed: of a batch, the members that failed and why (static); their frames are NaN from then
@@ -65,18 +125,16 @@ class Trajectory:
     final: State
     frames: dict[str, Any]
     system: System
-    every: int = dataclasses.field(default=1, metadata={"static": True})
+    every: int | None = dataclasses.field(default=1, metadata={"static": True})
     complete: bool = dataclasses.field(default=True, metadata={"static": True})
     means: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})
     failed: tuple[tuple[int, str], ...] = dataclasses.field(default=(), metadata={"static": True})
 
     def __repr__(self):
-        recorded = {name: jnp.shape(x) for name, x in self.frames.items() if hasattr(x, "shape")}
+        recorded = self._shapes()
         count = recorded.get("step", (0,))[-1:]
-        head = (
-            f"Trajectory({count[0] if count else 0} frames, one in {self.every} steps of "
-            f"{summary.span(self.dt)}"
-        )
+        often = "unevenly spaced" if self.every is None else f"one in {self.every} steps"
+        head = f"Trajectory({count[0] if count else 0} frames, {often} of {summary.span(self.dt)}"
         told = [
             "" if self.complete else "interrupted",
             f"members {[k for k, _ in self.failed]} failed" if self.failed else "",
@@ -86,9 +144,14 @@ class Trajectory:
         return f"{head}: {values}; final {self.final!r})"
 
     def _repr_html_(self):
-        recorded = [(k, jnp.shape(x)) for k, x in self.frames.items() if hasattr(x, "shape")]
         title = repr(self).partition(":")[0].replace("(", ", ", 1)
-        return summary.as_table(title, [*recorded, ("final", repr(self.final))])
+        return summary.as_table(title, [*self._shapes().items(), ("final", repr(self.final))])
+
+    def _shapes(self) -> dict[str, tuple]:
+        """Of what was recorded, which may be in a file."""
+        if hasattr(self.frames, "shapes"):
+            return self.frames.shapes
+        return {name: jnp.shape(x) for name, x in self.frames.items() if hasattr(x, "shape")}
 
     def plot(self, name: str | None = None, ax: Any = None) -> Any:
         """Draw a number that was recorded of each frame against time, of each member a line.
@@ -101,10 +164,9 @@ class Trajectory:
         Returns the axes. Raises ValueError where nothing recorded under the name is one number a
         frame.
         """
-        time = np.asarray(self.frames.get("time", ()))
-        clocks = ("time", "step")
+        time, clocks = np.asarray(self.frames.get("time", ())), ("time", "step")
         numbers = [
-            k for k, x in self.frames.items() if np.shape(x) == np.shape(time) and k not in clocks
+            k for k, shape in self._shapes().items() if shape == time.shape and k not in clocks
         ]
         first = "temperature" if "temperature" in numbers else next(iter(numbers), None)
         name = first if name is None else name
@@ -138,7 +200,12 @@ class Trajectory:
 
     @property
     def interval(self) -> Any:
-        """Time between two frames."""
+        """Time between two frames; ValueError where they are not evenly spaced."""
+        if self.every is None:
+            raise ValueError(
+                "the frames of this run are not evenly spaced, and this measure follows them "
+                "through time: run it with dpd.Plan(frames, every)"
+            )
         return self.dt * self.every
 
     @property

@@ -1,5 +1,6 @@
-"""The host door: a stream of pieces collected, reported and interruptible."""
+"""The host door: a stream of pieces collected, reported, saved and interruptible."""
 
+import os
 import warnings
 from collections.abc import Callable
 
@@ -8,13 +9,18 @@ from jax.typing import ArrayLike
 
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
-from dpdjax.engine.record import Observing
+from dpdjax.engine.record import Observing, recorders
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
+from dpdjax.errors import RunError, Stopped
+from dpdjax.files.checkpoint import Checkpoint
+from dpdjax.files.gsd import GSD, beads_record
 from dpdjax.host.heat import warn_if_hot
+from dpdjax.host.keeping import InMemory, kept
 from dpdjax.host.progress import Progress
-from dpdjax.host.stream import Job, Lost, Piece, RunError
+from dpdjax.host.stops import Stop, stopping
+from dpdjax.host.stream import Job, Lost, Piece
 from dpdjax.model.fluid import Fluid
 
 
@@ -28,6 +34,10 @@ def run(
     *,
     observe: Observing = None,
     integrator: Integrator | None = None,
+    out: str | os.PathLike | GSD | None = None,
+    checkpoint: str | os.PathLike | Checkpoint | None = None,
+    hours: float | None = None,
+    callback: Callable[[Piece], object] | None = None,
     progress: bool = True,
 ) -> Trajectory:
     """Run with everything a person at a keyboard expects; see ``simulate`` for the arguments.
@@ -43,34 +53,66 @@ def run(
     caches hold one. A member that fails is named in a warning and in ``failed`` of the trajectory,
     and the others go on as if it were not there; ``trajectory.survivors`` is a batch without it.
 
+    **Files.** With ``out`` every frame goes into a GSD file while the next ones are computed, the
+    beads and what is observed, readable by others at any moment; the trajectory then reads its
+    frames from there, and memory holds none. With ``checkpoint`` the run is saved as it goes on;
+    the same call again goes on from there, to the last bit as if it had never stopped, however it
+    ended, and one with a longer plan goes on with a finished run. Ctrl-C and SIGTERM then let the
+    piece that is being computed end, and save; after SIGTERM the process exits with the status 75.
+
+    Args:
+        out: a GSD file, such as ``"run.gsd"``, or ``dpd.GSD(...)``, of one run.
+        checkpoint: a folder of the run's own, or ``dpd.Checkpoint(...)``.
+        hours: of wall time after which the run ends, as after Ctrl-C.
+        callback: called with each :class:`Piece` as it comes, for plots on the way.
+
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
+        FileExistsError, FileError: for files that are there, damaged, of another run, held by
+            another process or cannot be written.
         RunError: positions that became NaN, beads that ran away, in the run or in all members; its
             ``trajectory`` holds the frames before.
+        Stopped: after SIGTERM, with ``checkpoint`` or ``out``.
     """
     system = System.of(fluid, dt, flow, integrator)
-    with Progress(plan, progress) as line:
-        job = Job.of(system, state, key, plan, observe, stacklevel=2)
-        return collected(job, line)
+    out, checkpoint = GSD.of(out), Checkpoint.of(checkpoint)
+    on_disk = out is not None or checkpoint is not None
+    with Progress(plan, progress) as line, stopping(hours, on_disk) as stop:
+        how = recorders(observe)
+        how += recorders(beads_record) if out is not None else []
+        job = Job.of(system, state, key, plan, how, stacklevel=2)
+        if not on_disk:
+            return collected(job, line, stop, InMemory(1 if job.key.ndim else 0), callback)
+        with kept(job, out, checkpoint, line.say) as (job, record):
+            trajectory = collected(job, line, stop, record, callback)
+    if stop.is_terminated:
+        raise Stopped
+    return trajectory
 
 
 def collected(
-    job: Job, line: Progress, size: int | None = None, keep: Callable[[Piece], dict] | None = None
+    job: Job, line: Progress, stop: Stop, record, callback: Callable | None = None
 ) -> Trajectory:
-    """The trajectory of a job, told on a line: of each piece, of ``size`` frames, what ``keep``
-    makes of it, by default its frames."""
-    state, pieces, failed = job.state, [], {}
+    """The trajectory of a job, told on a line, its frames where ``record`` keeps them."""
+    state, failed, is_over = job.state, job.failed, False
+    line.begin(job.done)
     try:
-        for piece in job.pieces(size, line.compiling):
-            frames = piece.frames if keep is None else keep(piece)
+        for piece in job.pieces(line.compiling):
             # One statement, which Ctrl-C cannot split.
-            state, pieces, failed = piece.state, [*pieces, frames], piece.failed
-            line.advance(len(frames["step"].T))
+            state, failed, record = piece.state, piece.failed, record.plus(piece)
+            line.advance(piece)
+            if callback is not None:
+                callback(piece)
+            if stop.is_due():
+                is_over = True
+                break
     except KeyboardInterrupt:
-        line.interrupted()
+        is_over = True
     except Lost as lost:
-        raise RunError(str(lost), job.trajectory(state, pieces, lost.failed)) from None
-    trajectory = job.trajectory(state, pieces, failed)
+        raise RunError(str(lost), job.trajectory(state, record.frames(), lost.failed)) from None
+    trajectory = job.trajectory(state, record.frames(), failed)
+    if is_over and not trajectory.complete:
+        line.interrupted(stop.why)
     warn_if_hot(trajectory, stacklevel=4)
     for member in failed.values():
         warnings.warn(f"{member}; the others went on: trajectory.survivors", stacklevel=3)

@@ -13,7 +13,14 @@ from jax.typing import ArrayLike
 from dpdjax.checks import prng_key
 from dpdjax.engine import status as bits
 from dpdjax.engine.batching import each_fluid
-from dpdjax.engine.chunk import batched, complete_lists, replayed, shape_of, without_failed
+from dpdjax.engine.chunk import (
+    batched,
+    complete_lists,
+    replayed,
+    room_for,
+    shape_of,
+    without_failed,
+)
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import Observing, averaged, recorders
@@ -21,20 +28,13 @@ from dpdjax.engine.refusals import check_finite, check_kinds, check_plan, check_
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
+from dpdjax.errors import RunError
 from dpdjax.host.cautions import cautions
 from dpdjax.model.fluid import Fluid
 
 CHUNK, LEAST = 1_000_000, 50
 """Particle-steps between two looks at the status: half a second; and steps, over which a large box
 is sorted once."""
-
-
-class RunError(RuntimeError):
-    """A run that could not go on; ``trajectory`` holds all that was computed before."""
-
-    def __init__(self, message, trajectory=None):
-        super().__init__(message)
-        self.trajectory = trajectory
 
 
 class Piece(NamedTuple):
@@ -76,18 +76,27 @@ def stream(
     the call, RunError without a trajectory on the way.
     """
     job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe, stacklevel=2)
-    return job.pieces(piece)
+    return job.pieces(size=piece)
 
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """A run that was checked and can begin: what moves from where, and what is recorded."""
+    """A run that was checked and can begin: what moves from where, and what is recorded.
+
+    Attributes:
+        system, state, key, plan: what is run.
+        how: recorders.
+        done: frames of the plan that were done before, up to the state.
+        failed: members of a batch that failed before, and why.
+    """
 
     system: System
     state: State
     key: Any
     plan: Plan
     how: tuple
+    done: int = 0
+    failed: dict[int, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, system: System, state, key, plan: Plan, observe, stacklevel: int) -> "Job":
@@ -112,16 +121,21 @@ class Job:
         _refuse(system.fluid, state, key)
         return cls(system, state, key, plan, tuple(recorders(observe)))
 
-    def pieces(self, size: int | None = None, compiling: Callable = lambda: None):
+    def resumed(self, state: State, done: int, failed: dict[int, str]) -> "Job":
+        """The job from a state at which some of its frames were done."""
+        return dataclasses.replace(self, state=state, done=done, failed=failed)
+
+    def pieces(self, compiling: Callable = lambda: None, size: int | None = None):
         """An iterator of :class:`Piece`, of ``size`` frames each but for the last."""
         system, state, key, plan = self.system, self.state, self.key, self.plan
         beads = int(np.prod(state.position.shape[:-1]))
-        size = chunk_frames(plan, beads) if size is None else max(1, min(size, plan.frames))
-        # The last piece, which is shorter, by the same program.
-        shape = shape_of(Plan(size, plan.every), beads)
-        done, failed = 0, {}
+        most = plan.frames if size is None else max(1, min(size, plan.frames))
+        # All pieces by one program, the shorter ones too.
+        shape = shape_of(Plan(min(most, chunk_frames(plan, beads)), _longest(plan)), beads)
+        done, failed = self.done, self.failed
         while done < plan.frames:
-            part = Plan(min(size, plan.frames - done), plan.every)
+            count = most if size is not None else chunk_frames(plan, beads, done)
+            part = plan.part(done, min(count, plan.frames - done))
             after, frames = replayed(system, state, key, part, self.how, shape, compiling)
             lost = after.status
             if key.ndim:
@@ -134,19 +148,17 @@ class Job:
             state, done = after, done + part.frames
             yield Piece(state, frames, failed)
 
-    def trajectory(self, state, pieces: list[dict], failed: dict) -> Trajectory:
-        """What the ``frames`` of pieces, that end in a state, come to."""
-        axis = 1 if state.position.ndim == 3 else 0
-        join = lambda *parts: np.concatenate(parts, axis)
-        frames = jax.tree.map(join, *pieces) if pieces else {}
-        done = np.shape(frames["step"])[axis] if pieces else 0
+    def trajectory(self, state, frames, failed: dict) -> Trajectory:
+        """What all frames, by name, that end in a state, come to."""
+        axis = 1 if self.key.ndim else 0
+        done = np.shape(frames["step"])[axis] if frames else 0
         dt = jnp.asarray(self.system.dt, state.position.dtype)
         return Trajectory(
             state,
             frames,
             dataclasses.replace(self.system, dt=dt),
             self.plan.every,
-            done == self.plan.frames,
+            done >= self.plan.frames,
             averaged(self.how, self.system.fluid, state),
             tuple(failed.items()),
         )
@@ -160,9 +172,21 @@ class Lost(RunError):
         self.failed = failed
 
 
-def chunk_frames(plan: Plan, beads: int) -> int:
-    """Frames in a chunk: about ``CHUNK`` particle-steps or ``LEAST`` steps."""
-    return max(1, min(plan.frames, round(max(CHUNK / beads, LEAST) / plan.every)))
+def chunk_frames(plan: Plan, beads: int, begin: int = 0) -> int:
+    """Frames in a chunk from number ``begin`` on: about ``CHUNK`` particle-steps or ``LEAST``
+    steps, and no more than a program has room for."""
+    most = max(CHUNK / beads, LEAST)
+    if not plan.schedule:
+        count = min(plan.frames, round(most / plan.every))
+    else:
+        steps = np.cumsum(plan.intervals[begin:])
+        count = int(np.searchsorted(steps, most, side="right"))
+    return max(1, min(count, room_for(beads)))
+
+
+def _longest(plan: Plan) -> int:
+    """Most steps before a frame of a plan."""
+    return int(np.max(plan.intervals))
 
 
 def _failed(before: dict, status, system: System, when: str) -> dict[int, str]:

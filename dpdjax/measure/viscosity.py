@@ -343,10 +343,11 @@ def _later(trajectory, skip, need=None) -> dict:
     axis = 1 if trajectory.is_batch else 0
     count = np.shape(trajectory.frames["time"])[axis]
     first = int(skip * count)
-    frames = {
-        k: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:]
-        for k, v in trajectory.frames.items()
-    }
+    later = lambda v: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:]
+    # Beads tell nothing here but how hot they are, and may be too many to be read from a file.
+    beads = {"position", "velocity", "image", "unwrapped"}
+    beads -= set() if "temperature" in trajectory.frames else {"velocity"}
+    frames = {k: later(trajectory.frames[k]) for k in trajectory.frames if k not in beads}
     needs.finite(frames)
     needs.warn_of_heat(trajectory, frames)
     needs.warn_unsettled(frames)

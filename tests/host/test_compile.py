@@ -17,6 +17,7 @@ from dpdjax.calibration import experiment
 from dpdjax.calibration.goal import viscosity_goal
 from dpdjax.engine import compiling
 from dpdjax.host import progress
+from dpdjax.host.stream import Piece
 
 host_run = importlib.import_module("dpdjax.host.stream")
 
@@ -114,14 +115,15 @@ def test_compiling_is_told_and_left_out_of_the_rate(water, fresh, key, capsys):
     assert "10/10" in lines[0] and "10/10" in lines[1]
 
 
-def test_seconds_of_compiling_stop_the_clock(monkeypatch):
+def test_seconds_of_compiling_stop_the_clock(monkeypatch, fresh):
     spent = iter([5.0, 95.0, 95.0])
     monkeypatch.setattr(progress.compiling, "seconds", lambda: next(spent))
     with progress.Progress(dpd.Plan(10, 10), shown=True) as line:
         line.compiling()
         line._bar.start_t -= 91.0
         line._bar.last_print_t = line._bar.start_t
-        line.advance(5)
+        line.advance(Piece(fresh, {"step": np.arange(5), "temperature": np.full(5, 1.25)}, {}))
+        assert line._bar.postfix == "T 1.25"
         assert 1.0 <= line._bar.format_dict["elapsed"] < 10.0
         assert line._bar.n == 50
 

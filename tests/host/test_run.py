@@ -10,7 +10,6 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import compiling
-from dpdjax.host import io
 from dpdjax.pairs import neighbours as lists
 
 host = sys.modules[dpd.stream.__module__]
@@ -23,7 +22,7 @@ DT, FLOW, PIECE = 0.01, dpd.shear(1.0), dpd.Plan(2, 5)
 @pytest.fixture(scope="module", autouse=True)
 def pieces():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(host, "chunk_frames", lambda plan, beads: PIECE.frames)
+        patch.setattr(host, "chunk_frames", lambda *_: PIECE.frames)
         yield
 
 
@@ -83,7 +82,7 @@ def test_other_plans_are_the_same_program_and_the_same_run(
     monkeypatch, run, water, state, key, sixty
 ):
     compiled = compiling.programs()
-    monkeypatch.setattr(host, "chunk_frames", lambda plan, beads: 25)
+    monkeypatch.setattr(host, "chunk_frames", lambda *_: 25)
     seldom, often = (
         dpd.run(water, state, key, DT, dpd.Plan(*n), FLOW, progress=False)
         for n in ((3, 20), (60, 1))
@@ -215,53 +214,3 @@ def test_keys_must_match_the_members(run, water, state, key):
         ValueError, match=r"numbers for 3 members and keys of shape \(2,\): give 3 keys"
     ):
         run(batch, 2, fluid=three, key=jax.random.split(key))
-
-
-def test_saved_state_is_the_same_state(run, state, sixty, tmp_path):
-    dpd.save_state(tmp_path / "state.npz", state)
-    loaded = dpd.load_state(tmp_path / "state.npz")
-    assert jax.tree.structure(loaded) == jax.tree.structure(state)
-    assert same_bits(loaded, state)
-    assert same_bits(run(loaded, 12), sixty)
-
-
-def test_saved_batch_is_the_same_batch(state, tmp_path):
-    batch = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
-    dpd.save_state(tmp_path / "batch", batch)
-    assert same_bits(dpd.load_state(tmp_path / "batch"), batch)
-
-
-def test_file_that_is_no_state(tmp_path, state):
-    np.save(tmp_path / "array.npy", np.ones(3))
-    np.savez(tmp_path / "arrays.npz", x=np.ones(3))
-    (tmp_path / "text").write_text("hello")
-    (tmp_path / "empty").touch()
-    for name in ("array.npy", "arrays.npz", "text", "empty"):
-        with pytest.raises(
-            ValueError, match=f"{name} is not a dpdjax state; write one with dpd.save_state"
-        ):
-            dpd.load_state(tmp_path / name)
-    with pytest.raises(FileNotFoundError):
-        dpd.load_state(tmp_path / "nowhere.npz")
-    np.savez(tmp_path / "future.npz", meta='{"format": 99, "grids": []}')
-    with pytest.raises(
-        ValueError, match=f"future.npz has format 99, this version reads {io.FORMAT}"
-    ):
-        dpd.load_state(tmp_path / "future.npz")
-    dpd.save_state(tmp_path / "state.npz", state)
-    with np.load(tmp_path / "state.npz") as file:
-        np.savez(tmp_path / "torn.npz", **{name: file[name] for name in file if name != "velocity"})
-    with pytest.raises(
-        ValueError, match="torn.npz lacks the array 'velocity'; save the state again"
-    ):
-        dpd.load_state(tmp_path / "torn.npz")
-
-
-def test_float64_state_needs_float64(state, tmp_path):
-    dpd.save_state(tmp_path / "state.npz", state)
-    jax.config.update("jax_enable_x64", False)
-    try:
-        with pytest.raises(ValueError, match="holds float64; start with JAX_ENABLE_X64=1"):
-            dpd.load_state(tmp_path / "state.npz")
-    finally:
-        jax.config.update("jax_enable_x64", True)

@@ -15,7 +15,7 @@ from dpdjax.engine.state import State, assemble
 from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.box import box
 
-FORMAT = 7
+FORMAT = 8
 
 
 def refuse_existing(path, cure: str) -> None:
@@ -35,9 +35,20 @@ def replacing(path):
             file.flush()
             os.fsync(file.fileno())
         os.replace(unfinished, path)
+        _settle(path)
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.remove(unfinished)
+
+
+def _settle(path):
+    """See to it that a name outlasts a loss of power, where the system can."""
+    with contextlib.suppress(OSError):
+        folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def save_state(path: str | os.PathLike, state: State) -> None:
@@ -46,6 +57,19 @@ def save_state(path: str | os.PathLike, state: State) -> None:
     A run goes on from it exactly, given the key it was started with. A file of that name is
     replaced when the new one is whole.
     """
+    save(path, state, {}, np.savez_compressed)
+
+
+def load_state(path: str | os.PathLike) -> State:
+    """Read what ``save_state`` wrote.
+
+    Raises ValueError where the file is no such state, or needs float64 that is off.
+    """
+    return load(path)[0]
+
+
+def save(path, state: State, more: dict, save_arrays=np.savez) -> None:
+    """Write a state, and ``more`` that JSON holds, uncompressed unless told otherwise."""
     arrays = _by_name(dataclasses.replace(state, neighbours=()))
     for k, n in enumerate(state.neighbours):
         arrays |= {f"neighbours.{k}.{name}": x for name, x in lists.arrays_of(n).items()}
@@ -54,33 +78,36 @@ def save_state(path: str | os.PathLike, state: State) -> None:
         "grids": [_written(n.grid) for n in state.neighbours],
         "origins": list(state.tally.virial),
         "rotation": None if state.rotation is None else state.rotation.begin,
+        "more": more,
     }
     with replacing(path) as file:
         arrays = {name: np.asarray(x) for name, x in arrays.items()}
-        np.savez_compressed(file, meta=json.dumps(meta), **arrays)
+        save_arrays(file, meta=json.dumps(meta), **arrays)
 
 
-def load_state(path: str | os.PathLike) -> State:
-    """Read what ``save_state`` wrote.
-
-    Raises ValueError where the file is no such state, or needs float64 that is off.
-    """
+def load(path) -> tuple[State, dict]:
+    """Read what :func:`save` wrote; raises as :func:`load_state` does."""
     try:
         with np.load(path) as file:
             saved = dict(file)
         meta = json.loads(str(saved.pop("meta")))
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is not a dpdjax state; write one with dpd.save_state") from error
+    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(
+            f"{path} is not a dpdjax state, or a damaged one; write one with dpd.save_state"
+        ) from error
     if meta["format"] != FORMAT:
         raise ValueError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
     if saved["position"].dtype == np.float64 and not jax.config.jax_enable_x64:
         raise ValueError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
     try:
-        return _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta)
+        state = _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta)
     except KeyError as error:
         raise ValueError(
             f"{path} lacks the array {error}; save the state again with dpd.save_state"
         ) from error
+    return state, meta["more"]
 
 
 def _assembled(saved: dict, meta: dict) -> State:

@@ -1,0 +1,1 @@
+"""What is on disk: states, checkpoints, GSD files. Nothing imports it but the host side."""
