@@ -40,10 +40,14 @@ _HOMES = {
     "dpdjax.files.loading": ["load_gsd"],
     "dpdjax.files.states": ["load_state", "save_state"],
     "dpdjax.host.plot": ["plot_box"],
+    "dpdjax.scans.drive": ["Run"],
+    "dpdjax.scans.picture": ["plot_scan"],
+    "dpdjax.scans.scan": ["scan"],
+    "dpdjax.scans.table": ["load_scan", "merge_scans"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
-NAMESPACES = ("laws", "flows", "integrators", "observe", "measure", "theory")
+NAMESPACES = ("laws", "flows", "integrators", "observe", "measure", "theory", "experiments")
 """Modules of the package with what else there is."""
 _ELSEWHERE = {
     "rdf": "measure.radial_distribution",

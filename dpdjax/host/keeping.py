@@ -184,7 +184,9 @@ def _opened(target: GSD, job: Job, saving: _Saving | None, say: Callable):
 
 def _begin(target: GSD, job: Job, saving) -> int:
     """Frames in the file of a run that begins, to be gone on with."""
-    exists = os.path.exists(target.path)
+    folder, exists = os.path.dirname(target.path) or ".", os.path.exists(target.path)
+    if not os.path.isdir(folder):
+        raise FileError(f"out is {os.fspath(target.path)!r}, and there is no folder {folder}")
     if target.mode == "x":
         again = " It was begun by a run that had not been saved." if saving is not None else ""
         refuse_existing(

@@ -1,0 +1,216 @@
+"""Experiments for scans: each is what is done at one point, ``experiment(key, **point)``.
+
+Made with what all points have in common; a point gives the rest, or other values, by the same
+names. Numbers that are none of these are numbers of the fluid: ``gamma``, ``a``, ``kT``, ...
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import numpy as np
+
+from dpdjax.engine.choice import suited
+from dpdjax.engine.deformation import shear
+from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.observables import positions, positions_of, standard
+from dpdjax.engine.trajectory import Plan
+from dpdjax.measure.clusters import clusters
+from dpdjax.measure.contacts import contact_number
+from dpdjax.measure.statistics import Estimate, block_average
+from dpdjax.measure.transport import diffusion as diffusion_of
+from dpdjax.measure.viscosity import shear_record, shear_viscosity
+from dpdjax.model.fluid import Fluid
+from dpdjax.prepare.start import initial_state
+from dpdjax.prepare.suspension import suspension
+from dpdjax.scans.drive import Run
+
+__all__ = ["Diffusion", "Gel", "Pressure", "SuspensionViscosity", "Viscosity"]
+
+FRAMES = 400
+"""Frames of a run that is averaged over."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _OfFluid:
+    """A box of a fluid: settled, then measured.
+
+    Attributes:
+        fluid: what runs; a point may give any of its numbers.
+        density: beads per volume.
+        box: side [length].
+        time: what is measured over [time].
+        settle: time before [time].
+        dt: time step; by default the one suggested.
+        integrator: by default the one that covers most time for its cost.
+        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
+    """
+
+    fluid: Fluid
+    density: float = 3.0
+    box: float = 10.0
+    time: float = 100.0
+    settle: float = 10.0
+    dt: float | None = None
+    integrator: Integrator | None = None
+    energies: str = "keep"
+
+    def at(self, point: dict) -> tuple[Any, dict]:
+        """The experiment with the values of a point, and those that are of the fluid."""
+        own = {f.name for f in dataclasses.fields(self)} - {"fluid"}
+        mine = {name: value for name, value in point.items() if name in own}
+        return dataclasses.replace(self, **mine), {n: v for n, v in point.items() if n not in own}
+
+    def settled(self, key, numbers: dict):
+        """A generator that asks for the run to rest, and returns fluid, state, step and method."""
+        energies = {"energies": self.energies} if "kT" in numbers else {}
+        fluid = self.fluid.set(**numbers, **energies) if numbers else self.fluid
+        shares = np.full(fluid.species, self.density / fluid.species)
+        how, dt = suited(fluid, shares, integrator=self.integrator, dt=self.dt)
+        state = initial_state(fluid, key, box=self.box, density=self.density, dt=dt)
+        every = max(1, round(self.settle / dt / 10))
+        rest = yield Run(fluid, state, key, dt, Plan(10, every), integrator=how)
+        return fluid, rest.final, dt, how
+
+    def plan(self, dt: float, frames: int = FRAMES) -> Plan:
+        """Of the run that is measured."""
+        return Plan(frames, max(1, round(self.time / dt / frames)))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Viscosity(_OfFluid):
+    """``viscosity`` and ``temperature`` of a fluid under steady shear.
+
+    Attributes:
+        rate: shear rate [1/time].
+    """
+
+    rate: float = 0.2
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        own, numbers = self.at(point)
+        fluid, state, dt, how = yield from own.settled(key, numbers)
+        flow = shear(own.rate)
+        # Until the flow has come about.
+        late = yield Run(
+            fluid, state, key, dt, Plan(10, max(1, round(3 / dt / 10))), flow, integrator=how
+        )
+        ran = yield Run(
+            fluid, late.final, key, dt, own.plan(dt), flow, observe=shear_record, integrator=how
+        )
+        heat = block_average(ran.frames["temperature"])
+        return {"viscosity": shear_viscosity(ran, skip=0.0), "temperature": heat}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Diffusion(_OfFluid):
+    """``diffusion`` of the beads of a fluid at rest, and ``temperature``.
+
+    Attributes:
+        fit: lags of the mean squared displacement that are fitted [time]; by default the
+            eighth of ``time`` that is last of those that tell, as :func:`dpdjax.diffusion` has it.
+    """
+
+    fit: tuple[float, float] | None = None
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        own, numbers = self.at(point)
+        fluid, state, dt, how = yield from own.settled(key, numbers)
+        ran = yield Run(
+            fluid, state, key, dt, own.plan(dt), observe=[standard, positions], integrator=how
+        )
+        lags = {} if own.fit is None else {"fit": own.fit}
+        heat = block_average(ran.frames["temperature"])
+        return {"diffusion": diffusion_of(ran, **lags), "temperature": heat}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Pressure(_OfFluid):
+    """``pressure`` and ``temperature`` of a fluid at rest: its equation of state."""
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        own, numbers = self.at(point)
+        fluid, state, dt, how = yield from own.settled(key, numbers)
+        ran = yield Run(fluid, state, key, dt, own.plan(dt), integrator=how)
+        tensor = np.asarray(ran.frames["pressure_tensor"])
+        mean = np.trace(tensor, axis1=-2, axis2=-1) / 3
+        heat = block_average(ran.frames["temperature"])
+        return {"pressure": block_average(mean), "temperature": heat}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _OfSuspension:
+    """Colloids in a solvent, placed at random and settled without attraction.
+
+    Attributes:
+        phi: volume fraction.
+        box: side [length].
+        times: what is measured, in diffusion times.
+        settle: time before [time].
+        numbers: others that :func:`dpdjax.suspension` takes; a point may give any.
+    """
+
+    phi: float = 0.2
+    box: float = 12.0
+    times: float = 1.0
+    settle: float = 10.0
+    numbers: dict = dataclasses.field(default_factory=dict)
+
+    def settled(self, key, point: dict, sheared: bool):
+        """A generator that asks for the run to rest; returns what was made, its state, and the
+        experiment with the values of the point."""
+        own = {f.name for f in dataclasses.fields(self)} - {"numbers"}
+        mine = {name: value for name, value in point.items() if name in own}
+        this = dataclasses.replace(self, **mine)
+        others = {"kT": 0.1} | self.numbers | {n: v for n, v in point.items() if n not in own}
+        how = {"phi": this.phi, "box": this.box, "sheared": sheared, "report": None}
+        made = suspension(key, **how, **others)
+        every = max(1, round(this.settle / made.dt / 10))
+        calm = made.fluid.set(D0=0.0) if "D0" in others else made.fluid
+        rest = yield Run(
+            calm, made.state, key, made.dt, Plan(10, every), integrator=made.integrator
+        )
+        return made, rest.final.restarted(), this
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Gel(_OfSuspension):
+    """``contact_number`` and ``largest_cluster`` (its share of the colloids) at the end of a quench
+    from rest into the attraction, over ``times`` diffusion times."""
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        made, state, own = yield from self.settled(key, point, sheared=False)
+        plan = Plan(20, max(1, round(own.times * made.steps_per_tau / 20)))
+        ran = yield Run(
+            made.fluid, state, key, made.dt, plan,
+            observe=positions_of(1), integrator=made.integrator,
+        )  # fmt: skip
+        return {
+            "contact_number": Estimate(float(contact_number(ran).series[0, -1]), float("nan")),
+            "largest_cluster": float(clusters(ran).largest[0, -1]),
+        }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SuspensionViscosity(_OfSuspension):
+    """``viscosity`` of a sheared suspension, from the second half of ``times`` diffusion times.
+
+    Attributes:
+        rate: shear rate [1/time].
+    """
+
+    rate: float = 0.1
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        made, state, own = yield from self.settled(key, point, sheared=True)
+        plan = Plan(FRAMES, max(1, round(own.times * made.steps_per_tau / FRAMES)))
+        ran = yield Run(
+            made.fluid, state, key, made.dt, plan, shear(own.rate),
+            observe=shear_record, integrator=made.integrator,
+        )  # fmt: skip
+        return {"viscosity": shear_viscosity(ran, skip=0.5)}

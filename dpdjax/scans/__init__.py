@@ -1,0 +1,1 @@
+"""Scans: one experiment at many points, as one table."""

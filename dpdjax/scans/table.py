@@ -1,0 +1,263 @@
+"""The table of a scan: an xarray dataset, in a netCDF file that is whole at every moment."""
+
+import json
+import os
+import time
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+import dpdjax
+from dpdjax.errors import FileError
+from dpdjax.files.states import replacing
+from dpdjax.files.told import differences
+from dpdjax.measure.statistics import Estimate, from_replicas
+from dpdjax.scans.drive import Outcome
+from dpdjax.scans.grid import Grid, Unit
+
+REPLICA, ERROR, EACH = "replica", "_error", "_each"
+OPEN, DONE, FAILED = 0, 1, 2
+"""States of a replica."""
+KNOWN = {
+    "gamma": ("friction", "mass/time"),
+    "kT": ("thermal energy", "energy"),
+    "a": ("repulsion", "energy/length"),
+    "rate": ("shear rate", "1/time"),
+    "dt": ("time step", "time"),
+    "phi": ("volume fraction", "1"),
+    "box": ("side of the box", "length"),
+    "density": ("beads per volume", "1/length^3"),
+    "D0": ("depth of the attraction", "energy"),
+    "kappa": ("inverse range of the attraction", "1/length"),
+    "eta_0": ("viscosity of the solvent", "energy time/length^3"),
+    "viscosity": ("shear viscosity", "energy time/length^3"),
+    "diffusion": ("diffusion coefficient", "length^2/time"),
+    "temperature": ("kinetic temperature", "energy"),
+    "pressure": ("pressure", "energy/length^3"),
+    "contact_number": ("contacts of a colloid", "1"),
+    "largest_cluster": ("share of the colloids in the largest cluster", "1"),
+}
+"""Long names and units of what scans often hold."""
+
+
+class Table:
+    """What is known of a scan so far, a number for each replica of each point."""
+
+    def __init__(self, grid: Grid, made: dict):
+        self.grid, self.made = grid, made
+        self.status = np.zeros(grid.shape, np.int32)
+        self.reason = np.full(grid.shape, "", object)
+        self.cost = {name: np.zeros(grid.shape) for name in ("particle_steps", "seconds")}
+        self.values: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
+    def put(self, unit: Unit, outcome: Outcome):
+        """Take in what a replica came to."""
+        where = (*unit[0], unit[1])
+        self.status[where] = FAILED if outcome.reason else DONE
+        self.reason[where] = outcome.reason
+        for name, values in self.cost.items():
+            values[where] = getattr(outcome, name)
+        for name, estimate in outcome.values.items():
+            value, error = self._of(name)
+            value[where], error[where] = estimate.value, estimate.error
+
+    def left(self) -> list[Unit]:
+        """Replicas that are neither done nor failed."""
+        return [(place, k) for place, k in self.grid.units() if self.status[(*place, k)] == OPEN]
+
+    def failures(self) -> list[str]:
+        """Replicas that failed, each with the reason."""
+        return [
+            f"{self.grid.named((place, k))}: {self.reason[(*place, k)]}"
+            for place, k in self.grid.units()
+            if self.status[(*place, k)] == FAILED
+        ]
+
+    def dataset(self):
+        """As an ``xarray.Dataset``: of each number the mean of the replicas and its standard error,
+        which is that of the experiment itself where there is one replica; and each replica."""
+        xarray = xarray_module()
+        axes = list(self.grid.axes)
+        every, data = [*axes, REPLICA], {}
+        for name, (value, error) in self.values.items():
+            means, errors = _over_replicas(value, error)
+            data[name] = axes, means, _attributes(name)
+            data[name + ERROR] = axes, errors, _attributes(name, "standard error of the ")
+            data[name + EACH] = every, value, _attributes(name, "replicas of the ")
+            data[name + EACH + ERROR] = (
+                every,
+                error,
+                _attributes(name, "errors of replicas of the "),
+            )
+        data["status"] = every, self.status, {"long_name": "0 open, 1 done, 2 failed"}
+        data["reason"] = every, self.reason.astype(str), {"long_name": "why it failed"}
+        for name, values in self.cost.items():
+            data[name] = every, values, {"long_name": name.replace("_", " ")}
+        found = {
+            name: (name, np.asarray(v), _attributes(name)) for name, v in self.grid.axes.items()
+        }
+        coordinates = found | {REPLICA: np.arange(self.grid.replicas)}
+        about = {"dpdjax": dpdjax.__version__, "made_by": json.dumps(self.made)}
+        return xarray.Dataset(data, coordinates, about)
+
+    def take(self, dataset) -> None:
+        """Take over what another table holds of the same points."""
+        axes = list(self.grid.axes)
+        places = [{_plain(x): k for k, x in enumerate(dataset[name].values)} for name in axes] + [
+            {int(x): k for k, x in enumerate(dataset[REPLICA].values)}
+        ]
+        names = [n[: -len(EACH)] for n in map(str, dataset) if n.endswith(EACH)]
+        arrays = {
+            name: dataset[name].transpose(*axes, REPLICA).values
+            for name in map(str, dataset)
+            if REPLICA in dataset[name].dims
+        }
+        for place, replica in self.grid.units():
+            wanted = [*self.grid.point(place).values(), replica]
+            if not all(x in known for x, known in zip(wanted, places)):
+                continue
+            there = tuple(known[x] for x, known in zip(wanted, places))
+            if arrays["status"][there] == OPEN:
+                continue
+            here = (*place, replica)
+            self.status[here] = arrays["status"][there]
+            self.reason[here] = str(arrays["reason"][there])
+            for name, values in self.cost.items():
+                values[here] = arrays[name][there]
+            for name in names:
+                value, error = self._of(name)
+                value[here] = arrays[name + EACH][there]
+                error[here] = arrays[name + EACH + ERROR][there]
+
+    def _of(self, name: str):
+        if name in (*self.grid.axes, REPLICA, "status", "reason", *self.cost):
+            raise ValueError(
+                f"the experiment returns {name!r}, the name of an axis or a column of the table; "
+                "return it under another name"
+            )
+        empty = lambda: np.full(self.grid.shape, np.nan)
+        return self.values.setdefault(name, (empty(), empty()))
+
+
+class Store:
+    """A table in a file that is written again, whole, as results come."""
+
+    def __init__(self, path: str | os.PathLike | None, seconds: float = 1.0):
+        self.path, self._seconds, self._last = path, seconds, -np.inf
+        folder = os.path.dirname(os.fspath(path or "")) or "."
+        if not os.path.isdir(folder):
+            raise FileError(f"store is {os.fspath(path)!r}, and there is no folder {folder}")
+
+    def begin(self, table: Table) -> None:
+        """Take over what the file holds; FileError where it is of another scan."""
+        if self.path is None or not os.path.exists(self.path):
+            return
+        dataset = load_scan(self.path)
+        lines = differences(json.loads(dataset.attrs["made_by"]), table.made)
+        if lines:
+            raise FileError(
+                f"{os.fspath(self.path)} holds another scan: {'; '.join(lines)}. Give what that "
+                "began with, or another store"
+            )
+        table.take(dataset)
+
+    def save(self, table: Table, now: bool = False) -> None:
+        """Write the table, if some time has gone by since the last, or ``now``."""
+        if self.path is None or not (now or time.monotonic() - self._last > self._seconds):
+            return
+        write(self.path, table.dataset())
+        self._last = time.monotonic()
+
+
+def write(path, dataset) -> None:
+    """Write a dataset as netCDF, whole or not at all."""
+    from dpdjax.files.gsd import writing
+
+    with writing(path), replacing(path) as file:
+        dataset.to_netcdf(file.name, engine="scipy")
+
+
+def load_scan(path: str | os.PathLike):
+    """Read the table of a scan, an ``xarray.Dataset``; FileError for a file that is none."""
+    xarray = xarray_module()
+    try:
+        with xarray.open_dataset(path, engine="scipy") as file:
+            dataset = file.load()
+    except FileNotFoundError:
+        raise
+    except (ValueError, TypeError, OSError, IndexError, KeyError) as error:
+        raise FileError(
+            f"{os.fspath(path)} is no table of a scan, or a damaged one: {error}"
+        ) from error
+    if "made_by" not in dataset.attrs:
+        raise FileError(f"{os.fspath(path)} is no table of a scan: it does not tell what made it")
+    return dataset
+
+
+def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | None = None):
+    """The tables of parts of one scan as one ``xarray.Dataset``, written to ``store`` if given.
+
+    Raises FileError for tables of other scans, ValueError for none.
+    """
+    if not paths:
+        raise ValueError("paths is empty; give the tables of the parts")
+    parts = [load_scan(path) for path in paths]
+    made = json.loads(parts[0].attrs["made_by"])
+    for path, part in zip(paths[1:], parts[1:]):
+        lines = differences(made, json.loads(part.attrs["made_by"]))
+        if lines:
+            raise FileError(f"{paths[0]} and {path} are of other scans: {'; '.join(lines)}")
+    names = [name for name in map(str, parts[0].coords) if name != REPLICA]
+    values = lambda name: list(dict.fromkeys(_plain(x) for p in parts for x in p[name].values))
+    replicas = max(part.sizes[REPLICA] for part in parts)
+    table = Table(Grid({name: tuple(values(name)) for name in names}, replicas), made)
+    for part in parts:
+        table.take(part)
+    dataset = table.dataset()
+    if store is not None:
+        write(store, dataset)
+    return dataset
+
+
+def xarray_module():
+    """The module ``xarray``; ImportError with the cure where it is missing."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise ImportError('scans need xarray: pip install "dpdjax[scan]"') from error
+    return xarray
+
+
+def _plain(value):
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _over_replicas(value, error):
+    """Means over the replicas that are there, and their standard errors."""
+    means, errors = np.full((2, *value.shape[:-1]), np.nan)
+    for place in np.ndindex(*means.shape):
+        there = ~np.isnan(value[place])
+        if there.sum() == 1:
+            means[place], errors[place] = value[place][there][0], error[place][there][0]
+        elif there.any():
+            found: Estimate = from_replicas(value[place][there])
+            means[place], errors[place] = found.value, found.error
+    return means, errors
+
+
+def _attributes(name: str, before: str = "") -> dict:
+    long_name, unit = KNOWN.get(name, (name.replace("_", " "), ""))
+    return {"long_name": before + long_name} | ({"units": unit} if unit else {})
+
+
+def told_failures(table: Table) -> None:
+    """Warn of replicas that failed, a few by name."""
+    lost = table.failures()
+    if lost:
+        more = f"; and {len(lost) - 3} more" if len(lost) > 3 else ""
+        warnings.warn(
+            f"{len(lost)} of {len(table.grid.units())} runs failed, see the table's status and "
+            f"reason: {'; '.join(lost[:3])}{more}",
+            stacklevel=3,
+        )
