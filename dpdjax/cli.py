@@ -1,6 +1,8 @@
-"""The command line: ``dpdjax viscosity``, ``calibrate``, ``suspension`` and ``bench``."""
+"""The command line: ``dpdjax viscosity``, ``calibrate``, ``suspension``, ``bench``, and ``run``,
+``scan`` and ``init`` of TOML files."""
 
 import argparse
+import importlib.metadata
 import importlib.util
 import json
 import math
@@ -17,7 +19,7 @@ def main(argv=None) -> int:
         if not arguments.no_cache:
             _keep_programs()
         result, figure = arguments.work(arguments)
-    except (ValueError, TypeError, RuntimeError) as error:
+    except (ValueError, TypeError, RuntimeError, OSError, ImportError) as error:
         print(f"dpdjax {arguments.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -30,7 +32,11 @@ def main(argv=None) -> int:
     if arguments.plot:
         figure().figure.savefig(arguments.plot, dpi=150, bbox_inches="tight")
         print(f"wrote {arguments.plot}", file=sys.stderr)
-    return 0
+    return STOPPED if result.get("stopped") else 0
+
+
+STOPPED = 75
+"""Exit status of a run that was ended before its plan, and can be gone on with."""
 
 
 def _keep_programs():
@@ -60,7 +66,10 @@ def _parser() -> argparse.ArgumentParser:
         description="Dissipative particle dynamics: the viscosity of a friction, the friction of "
         "a viscosity.",
     )
+    version = importlib.metadata.version("dpdjax")
+    parser.add_argument("--version", action="version", version=f"dpdjax {version}")
     commands = parser.add_subparsers(dest="command", required=True)
+    _of_files(commands)
 
     viscosity = commands.add_parser(
         "viscosity", help="the shear viscosity of a DPD fluid, with an error bar"
@@ -115,6 +124,107 @@ def _parser() -> argparse.ArgumentParser:
     # What it says of compiling is that of a new program.
     bench.set_defaults(work=_bench, readable=_speed, plot=None, no_cache=True)
     return parser
+
+
+def _of_files(commands):
+    """``run``, ``scan`` and ``init``."""
+    run = commands.add_parser("run", help="run what a TOML file says")
+    scan = commands.add_parser("scan", help="scan what a TOML file says")
+    for parser, work, told in ((run, _run, "GSD file"), (scan, _scan, "netCDF file of the table")):
+        parser.add_argument("config", metavar="FILE.toml", help="see dpdjax init")
+        parser.add_argument("--out", metavar="FILE", help=f"{told} (default: what FILE.toml says)")
+        hours = f"end after so many hours of wall time, with status {STOPPED}; the same command"
+        parser.add_argument("--hours", type=float, default=None, help=f"{hours} goes on")
+        parser.add_argument("--json", action="store_true", help="one JSON object at the end")
+        _kept(parser)
+        parser.set_defaults(work=work, readable=_came_to, plot=None)
+    resume = "go on with what is there; begin where nothing is"
+    run.add_argument("--resume", action="store_true", help=resume)
+    shard = "part i of n, from 1 on, into a table of its own: for arrays of jobs"
+    scan.add_argument("--shard", metavar="i/n", type=_shard, default=None, help=shard)
+    scan.add_argument(
+        "--workers", metavar="n", type=int, default=None, help="processes of their own"
+    )
+    scan.add_argument("--plot", metavar="FILE.png", default=None, help="draw the table into a file")
+    merge = commands.add_parser("merge", help="the tables of the parts of a scan as one")
+    merge.add_argument("parts", metavar="PART.nc", nargs="+")
+    merge.add_argument("--out", metavar="FILE.nc", required=True)
+    merge.set_defaults(work=_merge, readable=_came_to, plot=None, json=False, no_cache=True)
+    init = commands.add_parser("init", help="write a TOML file to begin with, with comments")
+    init.add_argument("kind", choices=KINDS)
+    init.add_argument("file", metavar="FILE.toml", nargs="?", default=None)
+    init.set_defaults(work=_init, readable=_came_to, plot=None, json=False, no_cache=True)
+
+
+KINDS = ("fluid", "suspension", "marbles", "scan")
+
+
+def _shard(text: str) -> tuple[int, int]:
+    i, slash, n = text.partition("/")
+    if not (slash and i.isdigit() and n.isdigit()):
+        raise argparse.ArgumentTypeError(f"{text!r} is no part; give i/n, such as 1/3")
+    return int(i), int(n)
+
+
+def _run(arguments):
+    from dpdjax.configs.running import run_file
+
+    report = lambda text: print(text, file=sys.stderr, flush=True)
+    result, is_complete = run_file(
+        arguments.config,
+        out=arguments.out,
+        hours=arguments.hours,
+        resume=arguments.resume,
+        report=None if arguments.json else report,
+        progress=not arguments.json,
+    )
+    return result | ({} if is_complete else {"stopped": True}), None
+
+
+def _scan(arguments):
+    from dpdjax.configs.running import scan_file
+
+    result, is_complete = scan_file(
+        arguments.config,
+        out=arguments.out,
+        hours=arguments.hours,
+        shard=arguments.shard,
+        workers=arguments.workers,
+        progress=not arguments.json,
+    )
+    table = result.pop("table")
+
+    def figure():
+        import dpdjax as dpd
+
+        return dpd.plot_scan(table)
+
+    return result | ({} if is_complete else {"stopped": True}), figure
+
+
+def _merge(arguments):
+    import dpdjax as dpd
+
+    table = dpd.merge_scans(arguments.parts, arguments.out)
+    return {"done": int((table.status == 1).sum()), "file": arguments.out}, None
+
+
+def _init(arguments):
+    from importlib.resources import files
+
+    target = arguments.file or f"{arguments.kind}.toml"
+    if os.path.exists(target):
+        raise FileExistsError(f"{target} is there already; give another name")
+    example = files("dpdjax.configs") / "examples" / f"{arguments.kind}.toml"
+    with open(target, "w", encoding="utf-8") as file:
+        file.write(example.read_text(encoding="utf-8"))
+    command = "scan" if arguments.kind == "scan" else "run"
+    return {"wrote": target, "next": f"dpdjax {command} {target}"}, None
+
+
+def _came_to(result) -> str:
+    shown = lambda value: f"{value:.6g}" if isinstance(value, float) else str(value)
+    return "\n".join(f"{name:12s} {shown(value)}" for name, value in result.items())
 
 
 def _suspended(parser):

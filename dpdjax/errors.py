@@ -26,6 +26,10 @@ class FileError(DPDError, OSError):
     """A file that is damaged, held by another process, of another run, or cannot be written."""
 
 
+class ConfigError(DPDError, ValueError):
+    """A TOML file that does not say what is to be done."""
+
+
 class Stopped(SystemExit):
     """A run ended by SIGTERM with all it had computed on disk; the process exits with ``STATUS``.
 

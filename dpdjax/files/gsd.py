@@ -46,11 +46,13 @@ class GSD:
         mode: ``"x"`` for a new file, ``"w"`` to replace one, ``"a"`` to go on with one of the same
             beads, or begin it.
         species: the only one whose beads are written, such as 1 for colloids alone; all by default.
+        about: what else the first frame is to tell, that JSON holds.
     """
 
     path: str | os.PathLike
     mode: str = "x"
     species: int | None = None
+    about: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self):
         if self.mode not in ("x", "w", "a"):

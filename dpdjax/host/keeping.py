@@ -179,6 +179,7 @@ def _opened(target: GSD, job: Job, saving: _Saving | None, say: Callable):
             stack.enter_context(held(target.path))
         made = points.made_by(job.system, job.state, job.key, job.plan, job.how)
         about = {"version": made["version"], "every": job.plan.every, "made": made}
+        about |= target.about
         yield _Out(target, mode, job, begin, about, stack)
 
 

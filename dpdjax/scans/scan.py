@@ -36,6 +36,7 @@ def scan(
     executor: futures.Executor | None = None,
     shard: tuple[int, int] | None = None,
     hours: float | None = None,
+    about: Mapping[str, str] | None = None,
     progress: bool = True,
 ):
     """An experiment at every point of a grid, as one table.
@@ -67,6 +68,7 @@ def scan(
             :func:`dpdjax.merge_scans` makes one table of them.
         hours: of wall time after which the scan ends; Ctrl-C and SIGTERM end it too, with all that
             is done in the store.
+        about: texts that the table is to hold as attributes.
 
     Returns an ``xarray.Dataset``: of each number the mean and its standard error (``..._error``),
     each replica (``..._each``), status and reason; units and provenance as attributes.
@@ -75,7 +77,8 @@ def scan(
     """
     xarray_module()
     grid = Grid.of(grid, replicas)
-    table = Table(grid, {"experiment": told(experiment), "key": told(prng_key(key))} | _settings())
+    made = {"experiment": told(experiment), "key": told(prng_key(key))} | _settings()
+    table = Table(grid, made, dict(about or {}))
     units = _shard(grid.units(), shard)
     saved = Store(store)
     saved.begin(table)

@@ -44,8 +44,8 @@ KNOWN = {
 class Table:
     """What is known of a scan so far, a number for each replica of each point."""
 
-    def __init__(self, grid: Grid, made: dict):
-        self.grid, self.made = grid, made
+    def __init__(self, grid: Grid, made: dict, about: dict[str, str] | None = None):
+        self.grid, self.made, self.about = grid, made, about or {}
         self.status = np.zeros(grid.shape, np.int32)
         self.reason = np.full(grid.shape, "", object)
         self.cost = {name: np.zeros(grid.shape) for name in ("particle_steps", "seconds")}
@@ -98,7 +98,7 @@ class Table:
             name: (name, np.asarray(v), _attributes(name)) for name, v in self.grid.axes.items()
         }
         coordinates = found | {REPLICA: np.arange(self.grid.replicas)}
-        about = {"dpdjax": dpdjax.__version__, "made_by": json.dumps(self.made)}
+        about = {"dpdjax": dpdjax.__version__, "made_by": json.dumps(self.made)} | self.about
         return xarray.Dataset(data, coordinates, about)
 
     def take(self, dataset) -> None:
@@ -211,7 +211,8 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     names = [name for name in map(str, parts[0].coords) if name != REPLICA]
     values = lambda name: list(dict.fromkeys(_plain(x) for p in parts for x in p[name].values))
     replicas = max(part.sizes[REPLICA] for part in parts)
-    table = Table(Grid({name: tuple(values(name)) for name in names}, replicas), made)
+    about = {n: x for n, x in parts[0].attrs.items() if n not in ("dpdjax", "made_by")}
+    table = Table(Grid({name: tuple(values(name)) for name in names}, replicas), made, about)
     for part in parts:
         table.take(part)
     dataset = table.dataset()

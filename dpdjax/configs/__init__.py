@@ -1,0 +1,1 @@
+"""Runs and scans from a TOML file, whose names are those of Python."""
