@@ -29,9 +29,7 @@ class Section:
         """The section, whose names are among these; ConfigError names the nearest otherwise."""
         for name in self.values:
             if name not in names:
-                near = difflib.get_close_matches(name, names, 1)
-                hint = f"; near is {near[0]!r}" if near else f"; there are {', '.join(names)}"
-                raise ConfigError(f"{self.where} has {name!r}, which is not known{hint}")
+                raise _unknown(name, names, f"{self.where} has")
         return self
 
     def one_of(self, *names: str) -> str:
@@ -147,9 +145,15 @@ def _imported(module: str, name: str, where: str):
         raise ConfigError(f"{where}: {module}:{name} cannot be imported: {error}") from error
 
 
-def _known(name, known: list[str], where: str) -> str:
+def _known(name, known: Iterable[str], where: str) -> str:
     if name not in known:
-        near = difflib.get_close_matches(str(name), known, 1)
-        hint = f"; near is {near[0]!r}" if near else f"; there are {', '.join(sorted(known))}"
-        raise ConfigError(f"{where} {name!r}, which is not known{hint}")
+        raise _unknown(name, known, where)
     return name
+
+
+def _unknown(name, known: Iterable[str], where: str) -> ConfigError:
+    """The error for a name that is not known, with the nearest one that is."""
+    plain = {other.lower(): other for other in known}
+    near = difflib.get_close_matches(str(name).lower(), plain, 1)
+    hint = f"near is {plain[near[0]]!r}" if near else f"there are {', '.join(known)}"
+    return ConfigError(f"{where} {name!r}, which is not known; {hint}")

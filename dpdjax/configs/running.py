@@ -50,7 +50,8 @@ def run_file(
     made = made_of(file, key, report)
     plan = plan_of(file.table("plan"), made)
     seconds = output.get("seconds", float, 60.0)
-    left = lambda: None if hours is None else hours - (time.monotonic() - began) / 3600
+    spent = lambda: (time.monotonic() - began) / 3600
+    left = lambda: None if hours is None else max(1e-9, hours - spent())
     how = {"integrator": made.integrator, "progress": progress}
     saved = lambda name: dpd.Checkpoint(folder / name, seconds)
     rest = _settled(settle, made, key, saved("settle"), left(), how)
@@ -62,7 +63,8 @@ def run_file(
         made.fluid, rest, key, made.dt, plan, flow or None,
         observe=observe, out=gsd, checkpoint=saved("run"), hours=left(), **how,
     )  # fmt: skip
-    return _came_to(ran, made, plan, target, began), ran.complete
+    elapsed = float(ran.final.time) - float(rest.time)
+    return _came_to(ran, made, plan, elapsed, target, began), ran.complete
 
 
 def _set_precision(file: Section):
@@ -91,10 +93,9 @@ def _settled(section: Section, made, key, checkpoint, hours, how):
     return settled.final.restarted() if settled.complete else None
 
 
-def _came_to(ran, made, plan, target: Path, began: float) -> dict:
-    done = {} if not len(ran.frames) else ran.frames
-    count = len(done["step"]) if done else 0
-    elapsed = float(ran.final.time)
+def _came_to(ran, made, plan, elapsed: float, target: Path, began: float) -> dict:
+    done = ran.frames
+    count = len(done["step"]) if len(done) else 0
     result = {"frames": count, "of": plan.frames, "beads": ran.final.n, "dt": made.dt}
     result |= {"integrator": str(made.integrator), "time": elapsed, "file": str(target)}
     if made.tau is not None:

@@ -219,7 +219,8 @@ repulsion = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)
 water = dpd.fluid([repulsion], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
 key = jax.random.key(0)
 state = dpd.initial_state(water, key, box=3.5, density=3.0)
-go = lambda folder, frames=2000: dpd.run(water, state, key, 0.01, dpd.Plan(frames, 2), dpd.shear(0.5),
+flow = dpd.shear(0.5)
+go = lambda folder, frames=2000: dpd.run(water, state, key, 0.01, dpd.Plan(frames, 2), flow,
     out=folder + "/run.gsd", checkpoint=dpd.Checkpoint(folder + "/saved", 1e-9), progress=False)
 """
 
