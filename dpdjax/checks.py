@@ -1,5 +1,7 @@
 """Small helpers for arguments: make a number an array, and know whether its value can be read."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ def number(value, name: str):
     """
     try:
         array = jnp.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise TypeError(
             f"{name} is {value!r}; a number or an array of numbers is wanted"
         ) from error
@@ -54,6 +56,45 @@ def not_negative(value, name: str):
     if is_concrete(array) and not np.all(np.asarray(array) >= 0):
         raise ValueError(f"{name} is {value}; it must not be negative")
     return array
+
+
+def one(value, name: str, check=number):
+    """:func:`number`, or another check, of what is no array; TypeError with its shape for one."""
+    array = check(value, name)
+    if array.ndim:
+        raise TypeError(f"{name} has shape {array.shape}; one number is wanted")
+    return array
+
+
+def plain(value, name: str, check=number) -> float:
+    """:func:`one`, known now, as a number of Python."""
+    if not is_concrete(value):
+        raise TypeError(f"{name} is being traced by jit, vmap or grad; it must be known")
+    return float(one(value, name, check))
+
+
+def whole(value, name: str, least: int = 1, most: int = 2**53) -> int:
+    """``value`` as an integer; ValueError unless it is a whole number within bounds."""
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not is_number or not least <= value <= most or value % 1:
+        bound = f"at most {most}" if is_number and value > most else f"at least {least}"
+        raise ValueError(f"{name} is {value!r}; it must be a whole number of {bound}")
+    return int(value)
+
+
+def choice(value, known, name: str):
+    """``value`` itself; ValueError unless it is one of the known words."""
+    if not (value is None or isinstance(value, str)) or value not in known:
+        words = [json.dumps(word) if isinstance(word, str) else str(word) for word in known]
+        raise ValueError(f"{name} is {value!r}; it is {' or '.join(words)}")
+    return value
+
+
+def truth(value, name: str) -> bool:
+    """``value`` itself; TypeError unless it is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{name} is {value!r}; it is True or False")
+    return bool(value)
 
 
 def prng_key(key):

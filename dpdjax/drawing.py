@@ -1,15 +1,52 @@
 """Axes and curves, for results that draw themselves. Matplotlib is an extra: ``dpdjax[plot]``."""
 
+import re
+
+UNITS = {
+    "time": "time",
+    "temperature": "energy",
+    "configurational_temperature": "energy",
+    "rotational_temperature": "energy",
+    "potential_energy": "energy",
+    "momentum": "mass length/time",
+    "pressure": "energy/length^3",
+    "pressure_tensor": "energy/length^3",
+    "viscosity": "energy time/length^3",
+    "diffusion": "length^2/time",
+    "position": "length",
+    "unwrapped": "length",
+    "velocity": "length/time",
+    "angular_velocity": "1/time",
+    "gamma": "mass/time",
+    "kT": "energy",
+    "a": "energy/length",
+    "rate": "1/time",
+}
+"""Of what is often recorded, measured and calibrated."""
+
+
+def labelled(name: str, unit: str | None = None) -> str:
+    """``name [unit]`` as axes have it, the unit by default that of :data:`UNITS`; a name without
+    one stays as it is."""
+    unit = UNITS.get(name, "") if unit is None else unit
+    told = re.sub(r"\^(\d+)", r"$^\1$", unit)
+    return f"{name.replace('_', ' ')} [{told}]" if told else name
+
 
 def axes(ax=None):
     """The given axes, or new ones; raises ImportError with the cure where matplotlib is missing."""
-    if ax is not None:
-        return ax
+    return panels(1)[0] if ax is None else ax
+
+
+def panels(count: int):
+    """So many new axes (count,) one below the other, which share x; ImportError as :func:`axes`."""
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:
         raise ImportError('plots need matplotlib: pip install "dpdjax[plot]"') from error
-    return plt.subplots(figsize=(6.0, 4.2), layout="constrained")[1]
+    size = (6.0, 4.2 if count == 1 else 0.6 + 1.8 * count)
+    figure = plt.figure(figsize=size, layout="constrained")
+    return figure.subplots(count, sharex=True, squeeze=False)[:, 0]
 
 
 def curve(ax, x, y, error, xlabel: str, ylabel: str):
@@ -21,12 +58,13 @@ def curve(ax, x, y, error, xlabel: str, ylabel: str):
     return ax
 
 
-def plain_log_ticks(ax):
-    """Numbers in full along a logarithmic x-axis."""
+def plain_log_ticks(ax, which: str = "x"):
+    """Numbers in full along a logarithmic axis, ``"x"`` or ``"y"``."""
     from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-    low, high = ax.get_xlim()
+    axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
+    low, high = axis.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high / low > 10 else (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9)
-    ax.xaxis.set_major_locator(LogLocator(subs=subs))
-    ax.xaxis.set_major_formatter(ScalarFormatter())
-    ax.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(ScalarFormatter())
+    axis.set_minor_formatter(NullFormatter())

@@ -19,7 +19,7 @@ PAIRS = "box noise cells geometry laws sums kernels neighbours forces friction".
 ENGINE = (
     "compensated compiling status batching rotation state answers deformation drivers flow order "
     "forces observables integrator implicit part system multistep choice soundness motion record "
-    "trajectory refusals simulate members chunk"
+    "joining tables trajectory refusals simulate members chunk"
 ).split()
 """The files of two rooms, each built on those before it."""
 

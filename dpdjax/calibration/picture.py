@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from dpdjax.drawing import axes, plain_log_ticks
+from dpdjax.drawing import axes, labelled, plain_log_ticks
 
 
 def draw_calibration(fit, ax=None):
@@ -42,8 +42,8 @@ def draw_calibration(fit, ax=None):
     ax.set_xscale("log")
     ax.set_xlim(np.exp(low), np.exp(high))
     plain_log_ticks(ax)
-    ax.set_xlabel(f"{fit.parameter} (DPD units)")
-    ax.set_ylabel(f"{fit.name} (DPD units)")
+    ax.set_xlabel(labelled(fit.parameter))
+    ax.set_ylabel(labelled(fit.name))
     ax.set_title(f"{fit.parameter} = {fit.estimate}")
     ax.legend(fontsize=8)
     return ax
@@ -61,7 +61,7 @@ def draw_measurement(measured, ax=None):
     late = running[len(running) // 10 :]
     spread = max(5 * e.error, 1.2 * np.abs(late - e.value).max())
     ax.set_ylim(e.value - spread, e.value + spread)
-    ax.set_xlabel("time in each box (DPD units)")
-    ax.set_ylabel(f"{measured.name} (DPD units)")
+    ax.set_xlabel("t in each box [time]")
+    ax.set_ylabel(labelled(measured.name))
     ax.legend()
     return ax

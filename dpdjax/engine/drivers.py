@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete, number, positive
+from dpdjax.checks import choice, is_concrete, number, positive, whole
 from dpdjax.engine.answers import Part, check_answers
 from dpdjax.engine.batching import chosen
 from dpdjax.engine.state import State
@@ -164,8 +164,8 @@ def drive(
 
     Raises ValueError for an unknown reaction, or nothing to drive.
     """
-    if reaction not in ("all", "others"):
-        raise ValueError(f'reaction is {reaction!r}; it is "all" or "others"')
+    choice(reaction, ("all", "others"), "reaction")
+    species = whole(species, "species", least=0)
     applied_force, applied_torque = (
         _along_x(number(x, name), name) for x, name in ((force, "force"), (torque, "torque"))
     )

@@ -13,7 +13,7 @@ from dpdjax.engine.deformation import check_tilt
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
-from dpdjax.engine.trajectory import Plan
+from dpdjax.engine.trajectory import LAST_STEP, Plan
 from dpdjax.model import advice
 from dpdjax.model.beads import radii
 from dpdjax.model.fluid import Fluid
@@ -25,7 +25,9 @@ def check_run(system: System, state, key):
     fluid = system.fluid
     check_kinds(system, state)
     prng_key(key)
-    positive(system.dt, "dt")
+    dt = positive(system.dt, "dt")
+    if dt.ndim > 1 or not dt.size:
+        raise ValueError(f"dt has shape {dt.shape}; give one number, or one for each member")
     shape = jnp.shape(state.position)
     if len(shape) != 2 or shape[1] != 3 or jnp.shape(state.velocity) != shape:
         raise ValueError(
@@ -65,9 +67,7 @@ def check_kinds(system: System, state):
             "fluid is a State and state a Fluid, the wrong way round: the one of dpd.fluid(...) "
             "comes first"
         )
-    if not isinstance(fluid, Fluid):
-        cure = "give its .fluid" if hasattr(fluid, "fluid") else "build one with dpd.fluid(...)"
-        raise TypeError(f"fluid is a {type(fluid).__name__}; {cure}")
+    check_fluid(fluid)
     if not isinstance(state, State):
         part = next((name for name in ("final", "state") if hasattr(state, name)), None)
         cure = f"give its .{part}" if part else "build one with dpd.initial_state(...)"
@@ -77,6 +77,13 @@ def check_kinds(system: System, state):
         "derived from dpd.integrators.Integrator"
     )
     check_part(system.integrator, (Integrator,), "integrator", wanted)
+
+
+def check_fluid(fluid):
+    """Raise TypeError, with what to give, for what is no fluid."""
+    if not isinstance(fluid, Fluid):
+        cure = "give its .fluid" if hasattr(fluid, "fluid") else "build one with dpd.fluid(...)"
+        raise TypeError(f"fluid is a {type(fluid).__name__}; {cure}")
 
 
 def check_finite(state):
@@ -109,10 +116,6 @@ def check_rotation(fluid, state):
                 "the beads of the state that rotate are of other species: make the state with this "
                 "fluid"
             )
-
-
-LAST_STEP = 2**31 - 1
-"""Steps are counted in 32 bits."""
 
 
 def check_plan(plan, state=None):

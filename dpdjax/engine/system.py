@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from dpdjax.checks import number
 from dpdjax.engine.batching import chosen, differing, lengths_of, named
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
@@ -34,6 +35,7 @@ class System:
         """With no flow and velocity-Verlet unless others are given; ``flow`` as :meth:`Flow.of`
         takes it."""
         integrator = VelocityVerlet() if integrator is None else integrator
+        dt = dt if isinstance(dt, float) else number(dt, "dt")
         return cls(fluid, dt, Flow.of(flow), integrator)
 
     def as_type(self, dtype) -> "System":

@@ -10,12 +10,19 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax import drawing
+from dpdjax.checks import whole
 from dpdjax.engine.batching import chosen
 from dpdjax.engine.flow import Flow
+from dpdjax.engine.joining import joined
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
+from dpdjax.engine.tables import to_pandas, to_xarray
 from dpdjax.model import summary
+from dpdjax.model.colloids import diffusion_time
 from dpdjax.model.fluid import Fluid
+
+LAST_STEP = 2**31 - 1
+"""Steps are counted in 32 bits."""
 
 
 @jax.tree_util.register_static
@@ -39,7 +46,7 @@ class Plan:
             _check_schedule(self)
             return
         for name in ("frames", "every"):
-            object.__setattr__(self, name, _whole(getattr(self, name), f"Plan {name}"))
+            object.__setattr__(self, name, whole(getattr(self, name), f"Plan {name}"))
 
     @classmethod
     def at(cls, steps: ArrayLike) -> "Plan":
@@ -49,7 +56,7 @@ class Plan:
         Measures of moments (structure, contacts, sizes) take such runs; those that follow beads or
         average over time need evenly spaced frames and refuse them.
         """
-        steps = [_whole(step, "a step of Plan.at") for step in np.ravel(np.asarray(steps)).tolist()]
+        steps = [whole(step, "a step of Plan.at") for step in np.ravel(np.asarray(steps)).tolist()]
         if not steps:
             raise ValueError("Plan.at has no steps; give one or more")
         if steps == list(range(steps[0], steps[-1] + 1, steps[0])):
@@ -60,8 +67,10 @@ class Plan:
     def logarithmic(cls, steps: int, *, first: int = 1, per_decade: int = 10) -> "Plan":
         """Frames at steps that grow by a factor, ``per_decade`` in each ten, from ``first`` to
         ``steps``: for what ages, such as a gel. Where two fall upon one step there is one."""
-        steps, first = _whole(steps, "steps"), _whole(first, "first")
-        per_decade = _whole(per_decade, "per_decade")
+        steps, first = whole(steps, "steps"), whole(first, "first")
+        per_decade = min(whole(per_decade, "per_decade"), steps)
+        if steps > LAST_STEP:
+            raise ValueError(f"steps is {steps}; they are counted up to {LAST_STEP}")
         if first >= steps:
             raise ValueError(f"first is {first}; it must be below steps, {steps}")
         count = max(2, 1 + round(per_decade * math.log10(steps / first)))
@@ -96,14 +105,6 @@ def _check_schedule(plan: Plan):
         )
 
 
-def _whole(value, name: str) -> int:
-    """``value`` as an integer; ValueError unless it is a whole number of at least 1."""
-    whole = isinstance(value, (int, float, np.number)) and value % 1 == 0
-    if isinstance(value, bool) or not whole or value < 1:
-        raise ValueError(f"{name} is {value!r}; it must be a whole number of at least 1")
-    return int(value)
-
-
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, repr=False)
 class Trajectory:
@@ -131,7 +132,7 @@ class Trajectory:
     failed: tuple[tuple[int, str], ...] = dataclasses.field(default=(), metadata={"static": True})
 
     def __repr__(self):
-        recorded = self._shapes()
+        recorded = self.shapes
         count = recorded.get("step", (0,))[-1:]
         often = "unevenly spaced" if self.every is None else f"one in {self.every} steps"
         head = f"Trajectory({count[0] if count else 0} frames, {often} of {summary.span(self.dt)}"
@@ -145,10 +146,11 @@ class Trajectory:
 
     def _repr_html_(self):
         title = repr(self).partition(":")[0].replace("(", ", ", 1)
-        return summary.as_table(title, [*self._shapes().items(), ("final", repr(self.final))])
+        return summary.as_table(title, [*self.shapes.items(), ("final", repr(self.final))])
 
-    def _shapes(self) -> dict[str, tuple]:
-        """Of what was recorded, which may be in a file."""
+    @property
+    def shapes(self) -> dict[str, tuple]:
+        """Shapes of what was recorded, by name; it may be in a file, and is not read."""
         if hasattr(self.frames, "shapes"):
             return self.frames.shapes
         return {name: jnp.shape(x) for name, x in self.frames.items() if hasattr(x, "shape")}
@@ -165,9 +167,7 @@ class Trajectory:
         frame.
         """
         time, clocks = np.asarray(self.frames.get("time", ())), ("time", "step")
-        numbers = [
-            k for k, shape in self._shapes().items() if shape == time.shape and k not in clocks
-        ]
+        numbers = [k for k, shape in self.shapes.items() if shape == time.shape and k not in clocks]
         first = "temperature" if "temperature" in numbers else next(iter(numbers), None)
         name = first if name is None else name
         if name not in numbers:
@@ -180,8 +180,31 @@ class Trajectory:
         if name == "temperature":
             for kT in np.unique(np.asarray(self.fluid.kT)):
                 ax.axhline(kT, color="0.4", ls="--", lw=1)
-        ax.set(xlabel="t [time]", ylabel=name)
+        ax.set(xlabel="t [time]", ylabel=drawing.labelled(name))
         return ax
+
+    def to_xarray(self) -> Any:
+        """All that was recorded as an ``xarray.Dataset``: dimension ``frame``, in a batch
+        ``member`` before it, with ``time`` and ``step`` as coordinates; further dimensions of
+        ``name`` are ``name_0``, ``name_1``.
+
+        Raises ImportError, with the cure, where xarray is missing.
+        """
+        return to_xarray(self)
+
+    def to_pandas(self) -> Any:
+        """The numbers, vectors and tensors of each frame as a ``pandas.DataFrame``, a column for
+        each component (``pressure_tensor_xy``), by ``time``; of a batch by ``member`` and ``time``.
+
+        What was recorded of each bead is left out, :meth:`to_xarray` has it. Raises ImportError,
+        with the cure, where pandas is missing.
+        """
+        return to_pandas(self)
+
+    def __add__(self, later: "Trajectory") -> "Trajectory":
+        """This run and one that went on from its final state, with the same numbers, records and
+        steps between frames, as one; ValueError for what does not fit."""
+        return joined(self, later) if isinstance(later, Trajectory) else NotImplemented
 
     @property
     def fluid(self) -> Fluid:
@@ -207,6 +230,24 @@ class Trajectory:
                 "through time: run it with dpd.Plan(frames, every)"
             )
         return self.dt * self.every
+
+    @property
+    def tau(self) -> Any:
+        """Bare diffusion time ``6 pi eta_0 R^3 / kT`` of the colloids that were run [time], of each
+        member of a scan; ValueError for a fluid without colloids, or whose laws tell no
+        viscosity."""
+        try:
+            tau = np.asarray(diffusion_time(self.fluid), float)
+        except TypeError as error:
+            raise ValueError(
+                f"this run has no diffusion time: {error}; or give a time of your own, "
+                "6 pi eta R^3 / kT"
+            ) from error
+        if not np.all(np.isfinite(tau) & (tau > 0)):
+            raise ValueError(
+                f"the diffusion time is {tau}: kT and eta_0 of the fluid must be above zero"
+            )
+        return tau if tau.ndim else float(tau)
 
     @property
     def is_batch(self) -> bool:

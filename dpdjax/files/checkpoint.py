@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 import dpdjax
-from dpdjax.checks import positive
+from dpdjax.checks import plain, positive
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
@@ -35,7 +35,7 @@ class Checkpoint:
     seconds: float = 60.0
 
     def __post_init__(self):
-        positive(self.seconds, "seconds")
+        plain(self.seconds, "seconds", positive)
 
     @classmethod
     def of(cls, checkpoint) -> "Checkpoint | None":

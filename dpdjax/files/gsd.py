@@ -195,6 +195,8 @@ def hoomd_files():
 @contextlib.contextmanager
 def reading(path):
     """A GSD file to read frames from; FileError for what is none."""
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"path is {path!r}; give a file name")
     hoomd = hoomd_files()
     try:
         file = hoomd.open(str(path), "r")

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.engine.flow import Driving, Flow
+from dpdjax.engine.refusals import check_fluid
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
 from dpdjax.errors import FileError
@@ -48,6 +49,10 @@ def load_gsd(
     Raises FileError for a damaged file or one that is none; ValueError for a frame that is not
     there, types or masses that are not those of the fluid, a box tilted otherwise than along xy.
     """
+    check_fluid(fluid)
+    is_number = isinstance(frame, int | np.integer) and not isinstance(frame, bool)
+    if not is_number:
+        raise TypeError(f"frame is {frame!r}; give its number")
     with reading(path) as file:
         if not -len(file) <= frame < len(file):
             raise ValueError(f"frame is {frame}, and {path} holds {len(file)} frames")

@@ -87,6 +87,8 @@ def save(path, state: State, more: dict, save_arrays=np.savez) -> None:
 
 def load(path) -> tuple[State, dict]:
     """Read what :func:`save` wrote; raises as :func:`load_state` does."""
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"path is {path!r}; give a file name")
     try:
         with np.load(path) as file:
             saved = dict(file)

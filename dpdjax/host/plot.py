@@ -1,75 +1,167 @@
-"""Pictures of the box. Matplotlib is an extra: ``pip install "dpdjax[plot]"``."""
+"""Pictures of a run, of its box, and of a flow curve. Matplotlib is an extra:
+``pip install "dpdjax[plot]"``."""
 
 from typing import Any
 
 import numpy as np
 
-from dpdjax.drawing import axes
+from dpdjax import drawing
+from dpdjax.checks import not_negative
 from dpdjax.engine.state import State
+from dpdjax.engine.trajectory import Trajectory
+from dpdjax.host import projection
+from dpdjax.measure.clusters import cluster_of_each
+from dpdjax.measure.contacts import contacts_of_each
+from dpdjax.measure.profile import velocity_profile
+from dpdjax.measure.spheres import Spheres
 from dpdjax.model.beads import radii
+from dpdjax.model.colloids import attraction_range, solvent_reach
 from dpdjax.model.fluid import Fluid
+from dpdjax.scans.picture import plot_scan
+
+SINGLE = "0.75"
+"""Colour of spheres that are in no cluster."""
+NAMED = 5
+"""Clusters whose sizes the legend tells."""
+
+
+def plot_run(trajectory: Trajectory, axes: Any = None) -> np.ndarray:
+    """Draw how a run went: kinetic temperature with kT, pressure, potential energy and momentum of
+    a bead against time, those of them that were recorded; of a batch a line for each member.
+
+    Args:
+        trajectory: a run, one or a batch.
+        axes: matplotlib axes, one for each panel, or None for new ones that share time.
+
+    Returns the axes (panels,). Raises ValueError where none of these was recorded, or for another
+    number of axes.
+    """
+    drawn = [name for name in PANELS if name in trajectory.frames]
+    if not drawn:
+        raise ValueError(
+            f"the run recorded none of {', '.join(PANELS)} but {', '.join(trajectory.frames)}; use "
+            "observe=[dpd.observe.standard, ...]"
+        )
+    axes = drawing.panels(len(drawn)) if axes is None else np.ravel(axes)
+    if len(axes) != len(drawn):
+        raise ValueError(f"{len(axes)} axes are given for {len(drawn)} panels, {', '.join(drawn)}")
+    time = np.atleast_2d(trajectory.frames["time"])
+    for ax, name in zip(axes, drawn):
+        PANELS[name](ax, time, np.asarray(trajectory.frames[name]), trajectory)
+    axes[-1].set_xlabel("t [time]")
+    return axes
+
+
+def _draw_temperature(ax, time, values, trajectory):
+    ax.plot(time.T, np.atleast_2d(values).T, lw=1)
+    for kT in np.unique(np.asarray(trajectory.fluid.kT)):
+        ax.axhline(kT, color="0.4", ls="--", lw=1)
+    ax.set_ylabel("temperature\n[energy]")
+
+
+def _draw_pressure(ax, time, values, trajectory):
+    ax.plot(time.T, np.atleast_2d(np.trace(values, axis1=-2, axis2=-1)).T / 3, lw=1)
+    ax.set_ylabel("pressure\n[energy/length$^3$]")
+
+
+def _draw_energy(ax, time, values, trajectory):
+    ax.plot(time.T, np.atleast_2d(values).T / trajectory.final.n, lw=1)
+    ax.set_ylabel("potential energy\nper bead [energy]")
+
+
+def _draw_momentum(ax, time, values, trajectory):
+    per_bead = np.reshape(values, (*time.shape, 3)) / trajectory.final.n
+    for k, axis in enumerate("xyz"):
+        lines = ax.plot(time.T, per_bead[..., k].T, lw=1, color=f"C{k}")
+        lines[0].set_label(axis)
+    ax.legend(ncols=3, loc="upper left")
+    ax.set_ylabel("momentum per bead\n[mass length/time]")
+
+
+PANELS = {
+    "temperature": _draw_temperature,
+    "pressure_tensor": _draw_pressure,
+    "potential_energy": _draw_energy,
+    "momentum": _draw_momentum,
+}
+"""What a run is told by, as it is recorded."""
+
+
+def plot_profile(trajectory: Trajectory, ax: Any = None, **how) -> Any:
+    """Measure the velocity and temperature across the gap of a run and draw them; returns the axes.
+
+    ``how`` and errors are those of :func:`dpdjax.measure.velocity_profile`.
+    """
+    return velocity_profile(trajectory, **how).plot(ax)
+
+
+def plot_flow_curve(table: Any, ax: Any = None) -> Any:
+    """Draw the viscosity against the shear rate, both logarithmic, with error bars; a line for each
+    value of another axis.
+
+    Args:
+        table: what :func:`dpdjax.scan` returns for an axis ``rate`` and an experiment with a
+            ``viscosity``; choose a value of all other axes but one first, ``table.sel(kT=0.1)``.
+        ax: matplotlib axes, or None for new ones.
+
+    Returns the axes. Raises ValueError for a table without these.
+    """
+    if "rate" not in table.dims or "viscosity" not in table:
+        raise ValueError(
+            f"a flow curve is the viscosity along an axis 'rate'; the axes of this table are "
+            f"{', '.join(map(str, table.dims))}, its numbers {', '.join(map(str, table))}"
+        )
+    ax = plot_scan(table, "viscosity", x="rate", ax=ax)
+    ax.set(xscale="log", yscale="log")
+    for which in "xy":
+        drawing.plain_log_ticks(ax, which)
+    return ax
 
 
 def plot_box(
     state: State,
     ax: Any = None,
-    axis: int = 2,
-    thickness: float | None = None,
+    *,
     fluid: Fluid | None = None,
+    colour: str = "depth",
+    gap: float | None = None,
+    solvent: float | None = None,
+    axis: int = 2,
 ) -> Any:
-    """A slice through the box: beads as discs of radius 0.5 shaded by depth, colloids as the discs
-    they are cut in.
+    """Draw the beads of a state in the tilted box.
 
-    Returns the axes.
+    Where the fluid has spheres, all of them, seen at an angle and without perspective, so that
+    equal ones look equal: each where its centre is inside the box, those further off in front of
+    others lighter. Of a fluid of points a slice next to one face of the box.
 
     Args:
         state: one state.
+        ax: matplotlib axes, or None for new ones.
+        fluid: tells the radii; without it all beads are points.
+        colour: of spheres: ``"depth"``, along the line of sight; ``"contacts"``, the number of
+            others closer than ``gap``; or ``"cluster"``, those joined by such contacts.
+        gap: surface gap of a contact [length]; by default the range of the attraction.
+        solvent: thickness of the slice of points that is drawn [length]; by default one reach of
+            theirs where there are no spheres, and none behind spheres.
         axis: 0, 1 or 2, the direction one looks along.
-        thickness: of the slice [length]; one interaction range by default.
-        fluid: tells the radii of the species; without it all beads are points.
+
+    Returns the axes. Raises ValueError for a batch, another colour, no gap where one is needed.
     """
-    ax = axes(ax)
-    position, sides = np.asarray(state.position), np.asarray(state.box.lengths)
-    thickness = 1.0 if thickness is None else thickness
-    flat = [k for k in range(3) if k != axis]
-    radius = np.zeros(len(position)) if fluid is None else np.asarray(radii(fluid, state))
-    inside = (position[:, axis] < thickness) & (radius == 0)
-    shallow = np.flatnonzero(inside)[np.argsort(position[inside, axis])]
-    beads = _discs(
-        ax,
-        position[shallow][:, flat],
-        0.5,
-        array=position[shallow, axis],
-        cmap="Blues",
-        edgecolor="0.3",
-        alpha=0.9,
-    )
-    depth = position[:, axis] - 0.5 * thickness
-    depth -= sides[axis] * np.round(depth / sides[axis])
-    sliced = np.flatnonzero(np.abs(depth) < radius)
-    around = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * sides[flat]
-    for image in around if len(sliced) else ():
-        centres = position[sliced][:, flat] + image
-        _discs(
-            ax,
-            centres,
-            np.sqrt(radius[sliced] ** 2 - depth[sliced] ** 2),
-            facecolor="C1",
-            edgecolor="0.2",
-            alpha=0.95,
-        )
-    ax.figure.colorbar(beads, ax=ax, label=f"{'xyz'[axis]} (r_c)")
-    ax.set(
-        xlim=(0, sides[flat[0]]), ylim=(0, sides[flat[1]]), aspect="equal",
-        xlabel=f"{'xyz'[flat[0]]} (r_c)", ylabel=f"{'xyz'[flat[1]]} (r_c)",
-    )  # fmt: skip
+    if np.ndim(state.position) != 2:
+        raise ValueError("the state is a batch; draw one member, trajectory[0].final")
+    if colour not in ("depth", "contacts", "cluster"):
+        raise ValueError(f"colour is {colour!r}; it is 'depth', 'contacts' or 'cluster'")
+    if axis not in (0, 1, 2):
+        raise ValueError(f"axis is {axis!r}; it is 0, 1 or 2")
+    radius = np.zeros(state.n) if fluid is None else np.asarray(radii(fluid, state), float)
+    reach = 1.0 if fluid is None else solvent_reach(fluid)
+    ax = drawing.axes(ax)
+    box = projection.Cell.of(state, axis)
+    position, depth = box.inside(np.asarray(state.position, float))
+    if not np.any(radius > 0):
+        thickness = reach if solvent is None else float(not_negative(solvent, "solvent"))
+        return projection.draw_slice(ax, box, position, depth, thickness, 0.5 * reach)
+    round_ones = radius > 0
+    paints, explain = _colours(state, round_ones, radius, fluid, colour, gap)
+    faint = ~round_ones & (depth > box.sides[axis] - (solvent or 0.0))
     return ax
-
-
-def _discs(ax, centres, radius, **style):
-    from matplotlib.collections import EllipseCollection
-
-    diameter = np.broadcast_to(2.0 * np.asarray(radius), len(centres))
-    style |= {"units": "xy", "offset_transform": ax.transData, "linewidth": 0.5}
-    discs = EllipseCollection(diameter, diameter, np.zeros(len(centres)), offsets=centres, **style)
-    return ax.add_collection(discs)

@@ -5,7 +5,7 @@ import signal
 import threading
 import time
 
-from dpdjax.checks import positive
+from dpdjax.checks import plain, positive
 
 
 class Stop:
@@ -18,7 +18,7 @@ class Stop:
 
     def __init__(self, hours: float | None):
         self.why, self.is_terminated = "", False
-        hours = None if hours is None else float(positive(hours, "hours"))
+        hours = None if hours is None else plain(hours, "hours", positive)
         self._hours, self._began = hours, time.monotonic()
         self._last, self._longest = self._began, 0.0
 

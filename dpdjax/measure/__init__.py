@@ -1,10 +1,11 @@
 """What one reads off a run, with error bars: transport, viscosity, structure, contacts."""
 
-from dpdjax.measure.clusters import clusters
+from dpdjax.measure.clusters import cluster_of_each, clusters
 from dpdjax.measure.contact_bonds import bonded_pairs, contact_bonds
-from dpdjax.measure.contacts import contact_number
+from dpdjax.measure.contacts import contact_number, contacts_of_each
 from dpdjax.measure.distribution import pair_distribution, partial_distribution
 from dpdjax.measure.drive import Driven, driven_diffusion, driven_rotation
+from dpdjax.measure.profile import VelocityProfile, velocity_profile
 from dpdjax.measure.rheology import Moduli, moduli
 from dpdjax.measure.rotation import (
     angular_velocity_autocorrelation,
@@ -29,9 +30,11 @@ __all__ = [
     "angular_velocity_autocorrelation",
     "block_average",
     "bonded_pairs",
+    "cluster_of_each",
     "clusters",
     "contact_bonds",
     "contact_number",
+    "contacts_of_each",
     "diffusion",
     "Driven",
     "driven_diffusion",
@@ -57,4 +60,6 @@ __all__ = [
     "spheres_of",
     "structure_factor",
     "velocity_autocorrelation",
+    "velocity_profile",
+    "VelocityProfile",
 ]

@@ -82,14 +82,36 @@ def clusters(what: Trajectory | Spheres, *, gap: float | None = None) -> Cluster
     )
 
 
+def cluster_of_each(what: Trajectory | Spheres, *, gap: float | None = None) -> np.ndarray:
+    """The number of the cluster that each sphere is in, (batch, frames, n) int, from 0 for the
+    largest of a frame.
+
+    Arguments and errors as in :func:`clusters`.
+    """
+    what, gap = spheres_and_gap(what, gap)
+    return by_frame(what, lambda frame: _by_size(_labels(frame, close_pairs(frame, gap))))
+
+
+def _by_size(label):
+    """Labels (n,) numbered by the size of what has them, the largest first."""
+    rank = np.argsort(np.argsort(-np.bincount(label), kind="stable"))
+    return rank[label]
+
+
+def _labels(frame, pairs):
+    """The cluster of each sphere, (n,)."""
+    graph = _graph(len(frame.position), pairs.first, pairs.second)
+    return connected_components(graph, directed=False)[1]
+
+
 def _cluster_numbers(frame, gap):
     """Largest cluster, number of clusters, mean size over spheres, percolation along x, y, z:
     (6,)."""
     n, pairs = len(frame.position), close_pairs(frame, gap)
-    number, label = connected_components(_graph(n, pairs.first, pairs.second), directed=False)
+    label = _labels(frame, pairs)
     sizes = np.bincount(label)
     return np.array(
-        [sizes.max(), number, np.sum(sizes**2) / n, *_winds(frame, pairs, label)], float
+        [sizes.max(), len(sizes), np.sum(sizes**2) / n, *_winds(frame, pairs, label)], float
     )
 
 

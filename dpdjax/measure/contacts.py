@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from dpdjax.checks import positive
-from dpdjax.drawing import curve
+from dpdjax.drawing import axes, curve
 from dpdjax.engine.trajectory import Trajectory
-from dpdjax.measure.blocks import average, error_of
+from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.colloids import attraction_range
@@ -36,8 +36,27 @@ class ContactNumber:
     gap: float
 
     def plot(self, ax=None):
-        """Draw the shares with their error band; returns the matplotlib axes."""
-        return curve(ax, self.z, self.share, self.error, "contacts z", "P(z)")
+        """Draw the shares as bars with their errors; returns the matplotlib axes."""
+        ax = axes(ax)
+        bars = {"yerr": np.nan_to_num(self.error), "capsize": 2, "alpha": 0.7}
+        ax.bar(self.z, self.share, width=0.8, **bars)
+        ax.set(xlabel="contacts z", ylabel="P(z)")
+        ax.xaxis.get_major_locator().set_params(integer=True)
+        return ax
+
+    def plot_series(self, ax=None, *, tau: float | None = None):
+        """Draw the contacts of a sphere against time, with the error over replicas; returns the
+        matplotlib axes.
+
+        Args:
+            ax: matplotlib axes, or None for new ones.
+            tau: unit of time, ``trajectory.tau`` for diffusion times; [time] by default.
+        """
+        if tau is not None:
+            positive(tau, "tau")
+        time, label = (self.time, "t [time]") if tau is None else (self.time / tau, "t/tau")
+        mean, error = self.series.mean(axis=0), standard_error(self.series)
+        return curve(ax, time, mean, error, label, "contact number")
 
 
 def contact_number(what: Trajectory | Spheres, *, gap: float | None = None) -> ContactNumber:
@@ -52,17 +71,26 @@ def contact_number(what: Trajectory | Spheres, *, gap: float | None = None) -> C
     Raises ValueError for a gap that is missing, not above zero or too large for the box
     (``2 R + gap`` above half the shortest side), and as :func:`spheres` does.
     """
-    what, gap = spheres_and_gap(what, gap)
-
-    def contacts_of_each(frame):
-        pairs = close_pairs(frame, gap)
-        return np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=what.n)
-
-    contacts = by_frame(what, contacts_of_each)
+    found, gap = spheres_and_gap(what, gap)
+    contacts = contacts_of_each(found, gap=gap)
     z = np.arange(contacts.max() + 1)
     shares = np.mean(contacts[..., None, :] == z[:, None], axis=-1)
     series, error = contacts.mean(axis=-1), error_of(shares)
-    return ContactNumber(average(series), z, shares.mean((0, 1)), error, what.time, series, gap)
+    return ContactNumber(average(series), z, shares.mean((0, 1)), error, found.time, series, gap)
+
+
+def contacts_of_each(what: Trajectory | Spheres, *, gap: float | None = None) -> np.ndarray:
+    """The number of others closer than ``gap`` to each sphere, (batch, frames, n).
+
+    Arguments and errors as in :func:`contact_number`.
+    """
+    what, gap = spheres_and_gap(what, gap)
+
+    def counted(frame):
+        pairs = close_pairs(frame, gap)
+        return np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=what.n)
+
+    return by_frame(what, counted)
 
 
 def spheres_and_gap(what, gap) -> tuple[Spheres, float]:

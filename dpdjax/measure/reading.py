@@ -3,6 +3,7 @@ relative to the flow."""
 
 import numpy as np
 
+from dpdjax.checks import whole
 from dpdjax.engine.batching import chosen
 from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared, species_of
@@ -51,6 +52,12 @@ def recorded(
 def check_recorded(trajectory, name: str, observe: str):
     """Raise unless this is a run, or replicas of one, that recorded ``name``; warns of beads that
     are hot."""
+    check_there(trajectory, name, observe)
+    needs.warn_of_heat(trajectory, trajectory.frames)
+
+
+def check_there(trajectory, name: str, observe: str):
+    """Raise unless this is a run, or replicas of one, that recorded ``name``."""
     needs.finished(trajectory)
     if name not in trajectory.frames:
         raise ValueError(
@@ -58,7 +65,6 @@ def check_recorded(trajectory, name: str, observe: str):
             f"observe={observe}"
         )
     refuse_scan(trajectory)
-    needs.warn_of_heat(trajectory, trajectory.frames)
 
 
 def check_not_averaged(trajectory, name: str, observe: str):
@@ -172,6 +178,7 @@ def as_frames(values, name: str, components: int = 3) -> np.ndarray:
 def chosen_beads(trajectory, species: int | None) -> np.ndarray:
     """Indices of the beads of one species, or of all; ValueError where there is none."""
     of_bead = species_of(trajectory)
+    species = None if species is None else whole(species, "species", least=0)
     if species is not None and species not in of_bead:
         raise ValueError(
             f"no bead is of species {species}; there are {', '.join(map(str, np.unique(of_bead)))}"

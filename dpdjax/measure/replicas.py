@@ -8,7 +8,7 @@ from dpdjax.engine.system import System
 def refuse_scan(trajectory):
     """Raise ValueError, naming them, where members of a batch differ in numbers of the fluid or the
     flow, or in the time step."""
-    names = System.of(trajectory.fluid, trajectory.interval, trajectory.flow).differing()
+    names = System.of(trajectory.fluid, trajectory.dt, trajectory.flow).differing()
     if names:
         raise ValueError(
             f"the members of this batch differ in {', '.join(names)}; "

@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 
-from dpdjax.drawing import curve
+from dpdjax.drawing import curve, labelled
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.rotation import axis_of
 from dpdjax.engine.trajectory import Trajectory
@@ -61,7 +61,7 @@ def angular_velocity_autocorrelation(
     """
     values = _unsheared(trajectory, "angular_velocity")
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
-    name = "angular velocity autocorrelation [1 / time$^2$]"
+    name = labelled("angular velocity autocorrelation", "1/time^2")
     return RotationalCorrelation(time, curves.mean(axis=0), standard_error(curves), name)
 
 

@@ -17,7 +17,7 @@ class StructureFactor:
     """The structure factor, by shells that hold a wave vector.
 
     Attributes:
-        q: mean length of the wave vectors in each shell, (shells,) [1 / length].
+        q: mean length of the wave vectors in each shell, (shells,) [1/length].
         s: mean of S over them, (shells,).
         error: standard error of ``s``, (shells,); NaN where there is a single frame.
         vectors: wave vectors in each shell, both of each opposite two counted, (shells,); the mean
@@ -31,7 +31,7 @@ class StructureFactor:
 
     def plot(self, ax=None):
         """Draw S with its error band; returns the matplotlib axes."""
-        return curve(ax, self.q, self.s, self.error, "q [1 / length]", "S(q)")
+        return curve(ax, self.q, self.s, self.error, "q [1/length]", "S(q)")
 
 
 def structure_factor(
@@ -46,7 +46,7 @@ def structure_factor(
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
-        q_max: largest wave vector [1 / length], by default 2 pi over the mean radius. The work
+        q_max: largest wave vector [1/length], by default 2 pi over the mean radius. The work
             grows as its cube.
         bins: shells of equal width between 0 and ``q_max``.
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete
+from dpdjax.checks import is_concrete, whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +80,11 @@ def block_average(series: ArrayLike, blocks: int = 20) -> Estimate:
             "block_average works on numbers of the host: inside jit, vmap or grad take jnp.mean, "
             "and average outside"
         )
-    series = np.atleast_2d(np.asarray(series, float))
+    blocks = whole(blocks, "blocks")
+    try:
+        series = np.atleast_2d(np.asarray(series, float))
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"the series is {series!r}; give numbers, one for each frame") from error
     if series.ndim > 2:
         raise ValueError(
             f"the series has shape {series.shape}; give (frames,) or (replicas, frames), of a "

@@ -11,7 +11,8 @@ import warnings
 
 import numpy as np
 
-from dpdjax.drawing import curve
+from dpdjax.checks import plain, positive
+from dpdjax.drawing import curve, labelled
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import PIECES, pieces_of_member, standard_error
@@ -34,23 +35,39 @@ class MeanSquaredDisplacement:
         time: lags from 0, (lags,) [time].
         value: (lags,) [length^2].
         error: its standard error, (lags,); NaN where there is a single piece.
+        dimensions: axes of the displacement that count.
     """
 
     time: np.ndarray
     value: np.ndarray
     error: np.ndarray
+    dimensions: int = 3
 
     def scaled(self, *, time=1.0, length=1.0) -> "MeanSquaredDisplacement":
         """The same in other units: ``time=tau, length=R`` for diffusion times and radii."""
         return MeanSquaredDisplacement(
-            self.time / time, self.value / length**2, self.error / length**2
+            self.time / time, self.value / length**2, self.error / length**2, self.dimensions
         )
 
-    def plot(self, ax=None):
-        """Draw it in double logarithmic scale with its error band; returns the matplotlib axes."""
-        label = "mean squared displacement [length$^2$]"
+    def plot(self, ax=None, *, fit: tuple[float, float] | None = None):
+        """Draw it in double logarithmic scale with its error band; returns the matplotlib axes.
+
+        Args:
+            ax: matplotlib axes, or None for new ones.
+            fit: first and last lag [time] of a straight line ``2 dimensions D t`` and a constant
+                that is drawn too, its D in the legend; :func:`diffusion` tells the error of D.
+
+        Raises ValueError where fewer than two lags are within ``fit``.
+        """
+        label = labelled("mean squared displacement", "length^2")
         ax = curve(ax, self.time[1:], self.value[1:], self.error[1:], "t [time]", label)
         ax.set(xscale="log", yscale="log")
+        if fit is not None:
+            t = self.time[_window(self.time, fit)]
+            slope, constant = np.polyfit(t, self.value[_window(self.time, fit)], 1)
+            told = f"{2 * self.dimensions} D t + const, D = {slope / (2 * self.dimensions):.4g}"
+            ax.plot(t, slope * t + constant, "k--", lw=1.5, label=told)
+            ax.legend()
         return ax
 
 
@@ -70,7 +87,7 @@ class VelocityAutocorrelation:
 
     def plot(self, ax=None):
         """Draw it with its error band; returns the matplotlib axes."""
-        label = "velocity autocorrelation [length$^2$ / time$^2$]"
+        label = labelled("velocity autocorrelation", "length^2/time^2")
         return curve(ax, self.time, self.value, self.error, "t [time]", label)
 
 
@@ -106,7 +123,7 @@ def mean_squared_displacement(
     """
     members, shape = _of_species(trajectory, "position", species, axes)
     time, curves = correlated(trajectory, members, shape, squared_displacement, t_max)
-    return MeanSquaredDisplacement(time, curves.mean(axis=0), standard_error(curves))
+    return MeanSquaredDisplacement(time, curves.mean(axis=0), standard_error(curves), len(axes))
 
 
 def velocity_autocorrelation(
@@ -292,6 +309,7 @@ def correlated(trajectory, members, shape, correlate, t_max):
 
 def _longest_lag(frames, batch, interval, t_max):
     """The longest lag in frames; by default half of each piece."""
+    t_max = None if t_max is None else plain(t_max, "t_max", positive)
     if t_max is None:
         longest = frames // (2 * -(-PIECES // batch))
         if longest < 1:
@@ -321,7 +339,8 @@ def _of_species(trajectory, name: str, species, axes: str):
 def _columns(trajectory, axes: str) -> list[int]:
     """The axes by number; ValueError for others than some of x, y and z. Warns where all are meant
     and a force drove the run."""
-    if not axes or len(set(axes)) < len(axes) or not set(axes) <= set("xyz"):
+    is_odd = not isinstance(axes, str) or not axes
+    if is_odd or len(set(axes)) < len(axes) or not set(axes) <= set("xyz"):
         raise ValueError(f'axes is {axes!r}; give some of "xyz", such as "yz" across a shear flow')
     if len(axes) == 3 and needs.is_pushed(trajectory):
         warnings.warn(

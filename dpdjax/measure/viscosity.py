@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.checks import not_negative, plain
 from dpdjax.engine.drivers import Wave
 from dpdjax.engine.observables import (
     SMOOTH,
@@ -340,9 +341,17 @@ def _later(trajectory, skip, need=None) -> dict:
     needs.finished(trajectory)
     if need is not None and need not in trajectory.frames:
         raise ValueError(f"the run recorded no {need!r}; use observe={RECORD_OF[need]}")
+    if trajectory.every is None:
+        raise ValueError(
+            "the frames of this run are not evenly spaced, and a mean over them is none over time: "
+            "run it with dpd.Plan(frames, every)"
+        )
+    skip = plain(skip, "skip", not_negative)
     axis = 1 if trajectory.is_batch else 0
     count = np.shape(trajectory.frames["time"])[axis]
     first = int(skip * count)
+    if first >= count:
+        raise ValueError(f"skip is {skip:g}, and leaves no frame of {count}; give a share below 1")
     later = lambda v: np.asarray(v)[:, first:] if axis else np.asarray(v)[first:]
     # Beads tell nothing here but how hot they are, and may be too many to be read from a file.
     beads = {"position", "velocity", "image", "unwrapped"}

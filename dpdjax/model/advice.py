@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import positive
+from dpdjax.checks import not_negative, plain, positive
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import (
     CLOSE_NEIGHBOURS,
@@ -89,7 +89,11 @@ def suggest_dt(
 
     Raises ValueError where nothing limits the step.
     """
-    positive(error, "error")
+    error, density = plain(error, "error", positive), not_negative(density, "density")
+    if density.shape not in ((), (fluid.species,)):
+        raise ValueError(
+            f"density has shape {density.shape}; give one number, or one for each species"
+        )
     errors = dt_errors if integrator is None else integrator.dt_errors
     stable = dt_limits if integrator is None else integrator.dt_limits
     limits = [limit for _, limit in errors(fluid, density, error)]

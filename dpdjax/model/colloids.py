@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete, not_negative, positive
+from dpdjax.checks import choice, is_concrete, not_negative, one, positive
 from dpdjax.model import colloid_laws, laws
 from dpdjax.model.fluid import Fluid, fluid, interaction
 from dpdjax.model.term import Term, several, term
@@ -84,19 +84,19 @@ def colloid_fluid(
     Raises ValueError for numbers no fluid can have, and an unknown noise.
     """
     kT, r_c, solvent_mass = (
-        not_negative(kT, "kT"),
-        positive(r_c, "r_c"),
-        positive(solvent_mass, "solvent_mass"),
+        one(kT, "kT", not_negative),
+        one(r_c, "r_c", positive),
+        one(solvent_mass, "solvent_mass", positive),
     )
     radius, eta_0 = (
-        positive(r_c if radius is None else radius, "radius"),
+        one(r_c if radius is None else radius, "radius", positive),
         not_negative(eta_0, "eta_0"),
     )
-    density = positive(3.0 / r_c**3 if density is None else density, "density")
+    density = one(3.0 / r_c**3 if density is None else density, "density", positive)
+    repulsion, modulus = not_negative(repulsion, "repulsion"), not_negative(modulus, "modulus")
     kappa = 30.0 / r_c if kappa is None else kappa
     Delta, delta = (1e-3 * r_c if gap is None else gap for gap in (Delta, delta))
-    if noise not in ("exact", "literal"):
-        raise ValueError(f'noise is {noise!r}; it is "exact" or "literal"')
+    choice(noise, ("exact", "literal"), "noise")
     if noise == "literal" and lubrication is not colloid_laws.squeezing_lubrication:
         raise ValueError(
             "literal noise belongs to dpd.laws.squeezing_lubrication; leave lubrication= out"
@@ -110,7 +110,7 @@ def colloid_fluid(
             "instead",
             stacklevel=2,
         )
-    attraction = several(attraction)
+    attraction = several(attraction, "attraction")
     strength, rub = repulsion * kT, {"gamma": gamma, "r_c": r_c}
     squeeze = {"eta_0": eta_0, "delta": delta}
     soft = term(laws.soft_repulsion, a=strength / r_c, r_c=r_c)

@@ -103,7 +103,7 @@ def name_of(law: Callable) -> str:
 
 def known_projector(projector: str) -> str:
     """The projector; ValueError for one there is not."""
-    if projector not in PROJECTORS:
+    if not isinstance(projector, str) or projector not in PROJECTORS:
         raise ValueError(f"projector is {projector!r}; it is one of {', '.join(PROJECTORS)}")
     return projector
 

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete, not_negative, positive
+from dpdjax.checks import choice, is_concrete, not_negative, positive, whole
 from dpdjax.model import summary
 from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
 from dpdjax.model.term import Term, Whole, check_table, coefficient, replace_coefficients, several
 
+MOST_SPECIES = 1000
 ORIGINS = ("conservative", "drag", "random")
 """Where stress comes from, unless a term has a name of its own for it."""
 
@@ -222,8 +223,7 @@ class Fluid:
         plain new ``kT`` alone keeps them with a warning; a scan, a traced number, or zero keeps
         them without.
         """
-        if energies not in (None, "keep", "scale"):
-            raise ValueError(f'energies is {energies!r}; it is "keep" or "scale"')
+        choice(energies, ("keep", "scale", None), "energies")
         if energies == "scale" and "kT" not in numbers:
             raise ValueError('energies="scale" goes with a new kT, and none is given')
         chosen = self._between(between)
@@ -273,7 +273,8 @@ def interaction(
     Raises ValueError for groups that overlap, without any term, or for a law that declares itself
     of the other kind; TypeError for what is not a term.
     """
-    parts = [tuple(several(t)) for t in (conservative, drag, () if random is None else random)]
+    given = {"conservative": conservative, "drag": drag, "random": () if random is None else random}
+    parts = [tuple(several(terms, name)) for name, terms in given.items()]
     for terms, kind in zip(parts, (POTENTIAL, FRICTION, FRICTION)):
         for t in terms:
             check_kind(t.law, kind)
@@ -323,8 +324,10 @@ def fluid(
         TypeError: something that is not a term.
     """
     interactions = tuple(interactions)
+    has_own = several(conservative, "conservative") + several(drag, "drag")
     terms = [t for i in interactions for t in i.terms]
-    if conservative or drag or not interactions:
+    species = None if species is None else whole(species, "species", most=MOST_SPECIES)
+    if has_own or not interactions:
         if interactions:
             raise ValueError(
                 "give either interactions=[...], or conservative= and drag= between all beads"

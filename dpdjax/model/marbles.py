@@ -90,7 +90,8 @@ def marble_fluid(
         if epsilon is None
         else epsilon
     )
-    attraction, friction = several(attraction), several(friction)
+    attraction = several(attraction, "attraction")
+    friction = several(friction, "friction")
     if (attraction or friction) and not is_several:
         raise ValueError("attraction and friction act between marbles: give is_several=True")
     mass = (

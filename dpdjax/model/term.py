@@ -201,6 +201,12 @@ def term(
         ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an
             unknown projector; a number outside what the law declares with ``dpd.laws.bounded``.
     """
+    if not callable(law) or isinstance(law, type):
+        raise TypeError(f"law is {law!r}; give a function law(h, *, ...)")
+    if reach is not None and isinstance(reach, type):
+        raise TypeError(f"reach is {reach!r}; give a number, or a function of coefficients")
+    if not (origin is None or isinstance(origin, str)):
+        raise TypeError(f"origin is {origin!r}; give a name, or None")
     name = name_of(law)
     if origin in RESERVED:
         raise ValueError(
@@ -249,20 +255,24 @@ def term(
     taken = lambda function: tuple((k, kind) for k, kind in kinds if k in _keywords(function))
     _check_value(law, taken(law), GAPS, "its energy or friction")
     if declared is not None:
-        _check_value(declared, taken(declared), None, "its reach")
+        try:
+            _check_value(declared, taken(declared), None, "its reach")
+        except TypeError as error:
+            raise TypeError(f"reach of {name}: {error}") from error
     projector = (
         getattr(law, "projector", CENTRAL) if projector is None else known_projector(projector)
     )
     return Term(law, values, cut, declared, origin, projector)
 
 
-def several(terms) -> list[Term]:
-    """One term or a sequence of them, as a list; TypeError for anything else."""
-    terms = [terms] if isinstance(terms, Term) or callable(terms) else list(terms)
+def several(terms, name: str) -> list[Term]:
+    """One term or a sequence of them, as a list; TypeError, with the name they were given under,
+    for anything else."""
+    terms = list(terms) if isinstance(terms, list | tuple) else [terms]
     for t in terms:
         if not isinstance(t, Term):
             raise TypeError(
-                f"{getattr(t, '__name__', repr(t))} is not a term; write dpd.term(law, "
+                f"{name}: {getattr(t, '__name__', repr(t))} is not a term; write dpd.term(law, "
                 "coefficient=...)"
             )
     return terms

@@ -155,7 +155,7 @@ def water_units(
 
     Raises ValueError for another name of ``time`` or a number not above zero.
     """
-    if time not in NOTES:
+    if not isinstance(time, str) or time not in NOTES:
         raise ValueError(f"no time unit {time!r}; there are {', '.join(NOTES)}")
     given = {
         "molecules": molecules,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete, not_negative, positive, prng_key
+from dpdjax.checks import choice, is_concrete, not_negative, plain, positive, prng_key, truth, whole
 from dpdjax.engine import soundness
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
@@ -22,6 +22,8 @@ from dpdjax.prepare.cores import START_ENERGY, start_radii
 
 CLUSTERING = 2.0
 """Room in the lists of colloids, which gather."""
+MOST_BEADS = 2**31
+"""Beads are numbered in 32 bits."""
 LEAST_SKIN = 0.02
 """Share of the reach that a default skin keeps in a narrow box."""
 
@@ -76,6 +78,9 @@ def initial_state(
             "kT or mass of the fluid is a batch, and one state has one temperature: build the "
             "state with one fluid, and give the batch to the run"
         )
+    truth(sheared, "sheared")
+    skin = None if skin is None else plain(skin, "skin", not_negative)
+    choice(start, ("random", "lattice"), "start")
     box = boxes.box(box)
     if not is_concrete(box):
         raise ValueError(
@@ -185,13 +190,9 @@ def _counts(fluid, lengths, density, n, fractions):
             "give either density=... or n=... (beads in all, or one count per species)"
         )
     if n is not None and np.ndim(n) == 1:
-        counts = [int(c) for c in n]
+        counts = [whole(c, "n", least=0) for c in n]
     else:
-        total = (
-            int(round(float(positive(density, "density")) * lengths.prod()))
-            if n is None
-            else int(n)
-        )
+        total = _total(lengths, density) if n is None else whole(n, "n")
         counts = _shares(total, fluid.species, fractions)
     if len(counts) != fluid.species:
         raise ValueError(f"{len(counts)} counts for a fluid of {fluid.species} species")
@@ -200,6 +201,14 @@ def _counts(fluid, lengths, density, n, fractions):
             f"density x volume is {sum(counts)} beads; a fluid needs at least 2: use a larger box"
         )
     return counts
+
+
+def _total(lengths, density) -> int:
+    """Beads in all; ValueError for more than can be counted."""
+    total = plain(density, "density", positive) * float(lengths.prod())
+    if not total < MOST_BEADS:
+        raise ValueError(f"box and density make {total:.3g} beads; give a smaller box or density")
+    return round(total)
 
 
 def _shares(total, species, fractions):
@@ -216,9 +225,7 @@ def _positions(start, key, box, n):
             jax.random.fold_in(key, Domain.POSITION), (n, 3), dtype=box.lengths.dtype
         )
         return u * box.lengths[None]
-    if start == "lattice":
-        return jnp.asarray(_lattice(n, np.asarray(box.lengths, float)), box.lengths.dtype)
-    raise ValueError(f'start is {start!r}; it is "random" or "lattice"')
+    return jnp.asarray(_lattice(n, np.asarray(box.lengths, float)), box.lengths.dtype)
 
 
 def _spheres_and_points(fluid, key, box, counts, radii):

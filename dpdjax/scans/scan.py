@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 import dpdjax
-from dpdjax.checks import prng_key
+from dpdjax.checks import prng_key, whole
 from dpdjax.engine.members import cores
 from dpdjax.errors import RunError
 from dpdjax.files.told import told
@@ -76,6 +76,8 @@ def scan(
     Raises TypeError or ValueError for what is no grid, FileError for a store of another scan.
     """
     xarray_module()
+    if not callable(experiment):
+        raise TypeError(f"experiment is {experiment!r}; give a function experiment(key, **point)")
     grid = Grid.of(grid, replicas)
     made = {"experiment": told(experiment), "key": told(prng_key(key))} | _settings()
     table = Table(grid, made, dict(about or {}))
@@ -116,7 +118,8 @@ def _shard(units: list[Unit], shard) -> list[Unit]:
     """Part of the units, of all kinds alike."""
     if shard is None:
         return units
-    i, n = shard
+    is_pair = isinstance(shard, tuple | list) and len(shard) == 2
+    i, n = (whole(x, "shard") for x in shard) if is_pair else (0, 0)
     if not 1 <= i <= n:
         raise ValueError(f"shard is {shard}; give (i, n) with i from 1 to n")
     return units[i - 1 :: n]

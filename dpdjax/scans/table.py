@@ -144,6 +144,8 @@ class Store:
     """A table in a file that is written again, whole, as results come."""
 
     def __init__(self, path: str | os.PathLike | None, seconds: float = 1.0):
+        if path is not None and not isinstance(path, str | os.PathLike) or str(path) == "":
+            raise TypeError(f"store is {path!r}; give the name of a netCDF file")
         self.path, self._seconds, self._last = path, seconds, -np.inf
         folder = os.path.dirname(os.fspath(path or "")) or "."
         if not os.path.isdir(folder):

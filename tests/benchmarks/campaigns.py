@@ -43,6 +43,15 @@ OPENERS = {
 """How each program reads all frames of a file and says how many there are."""
 
 
+def water():
+    """The standard fluid."""
+    return dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
+    )
+
+
 def suspension():
     """Sheared colloids, 2,500 beads."""
     return dpd.suspension(KEY, phi=0.2, box=10.0, kT=0.1, D0=0.3, report=None)
@@ -127,13 +136,9 @@ def _opened(path) -> dict:
 def output():
     """A million steps of 3,000 beads to disk, a frame in a hundred; and what that adds to the time,
     by turns."""
-    water = dpd.fluid(
-        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
-        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
-        kT=1.0,
-    )
-    state = dpd.initial_state(water, KEY, box=10.0, density=3.0)
-    go = lambda state, plan, **how: dpd.run(water, state, KEY, 0.01, plan, progress=False, **how)
+    matter = water()
+    state = dpd.initial_state(matter, KEY, box=10.0, density=3.0)
+    go = lambda state, plan, **how: dpd.run(matter, state, KEY, 0.01, plan, progress=False, **how)
     state = go(state, dpd.Plan(20, 100)).final
     with tempfile.TemporaryDirectory() as name:
         ratios = [_with_over_without(go, state, Path(name)) for _ in range(7)]
@@ -177,7 +182,103 @@ def _resident() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-ROOMS = {"kills": kills, "output": output}
+GRID = {"gamma": np.geomspace(2.0, 60.0, 24).round(3).tolist()}
+"""Of the scan, with four replicas."""
+
+
+def viscosities():
+    """Viscosity in small boxes."""
+    return dpd.experiments.Viscosity(fluid=water(), box=5.0, time=8.0, settle=2.0, rate=0.3)
+
+
+def scanned(store: str, **how):
+    """The scan that is computed in many ways."""
+    return dpd.scan(viscosities(), GRID, key=KEY, replicas=4, store=store, progress=False, **how)
+
+
+def scans():
+    """24 frictions, 4 replicas: interrupted and resumed, on two forced devices, by two Dask workers
+    of which one is killed, in three shards; and its speed beside the same boxes in one call."""
+    with tempfile.TemporaryDirectory() as name:
+        at = lambda store: str(Path(name) / f"{store}.nc")
+        began = time.monotonic()
+        whole = scanned(at("whole"))
+        found = {"runs": int(whole.status.size), "seconds": time.monotonic() - began}
+        half = _scanning("plain", at("half"))
+        while not Path(at("half")).exists() or (dpd.load_scan(at("half")).status == 1).sum() < 48:
+            time.sleep(0.2)
+        half.send_signal(signal.SIGTERM)
+        found["status after SIGTERM"] = half.wait()
+        found["runs done by then"] = int((dpd.load_scan(at("half")).status == 1).sum())
+        flags = "--xla_force_host_platform_device_count=2"
+        for way, flags in (("half", ""), ("devices", flags), ("dask", "")):
+            mode = "dask" if way == "dask" else "plain"
+            assert _scanning(mode, at(way), XLA_FLAGS=flags).wait() == 0
+            found[f"same bits, {WAYS[way]}"] = _same(dpd.load_scan(at(way)), whole)
+        parts = [at(f"part{i}") for i in (1, 2, 3)]
+        for i, part in enumerate(parts):
+            scanned(part, shard=(i + 1, 3))
+        found["same bits, three shards merged"] = _same(dpd.merge_scans(parts), whole)
+    return found | {"speed over one batch": sorted(_speed() for _ in range(5))}
+
+
+WAYS = {
+    "half": "ended by SIGTERM and gone on with",
+    "devices": "two forced devices",
+    "dask": "two Dask workers, one killed",
+}
+
+
+def _scanning(mode: str, store: str, **environment):
+    more = {"TF_CPP_MIN_LOG_LEVEL": "3"} | environment
+    return subprocess.Popen(
+        [sys.executable, __file__, "scanning", mode, store], env=os.environ | more
+    )
+
+
+def scan_by_dask(store: str):
+    """By two workers, one of which is killed on the way."""
+    import threading
+
+    import distributed
+
+    how = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**how) as cluster, distributed.Client(cluster) as client:
+        pid = client.submit(os.getpid).result()
+        threading.Timer(30.0, os.kill, (pid, signal.SIGKILL)).start()
+        scanned(store, executor=client.get_executor())
+
+
+def _same(a, b) -> bool:
+    drop = ["seconds"]
+    return bool(a.drop_vars(drop).identical(b.drop_vars(drop)))
+
+
+def _speed() -> float:
+    """Particle-steps a second of a scan of 24 runs over those of one call with the same boxes."""
+    matter, plan = water(), dpd.Plan(50, 20)
+    state = dpd.initial_state(matter, KEY, box=7.0, density=3.0)
+
+    def one(key, gamma):
+        ran = yield dpd.Run(matter.set(gamma=gamma), state, key, 0.01, plan)
+        return {"T": ran.frames["temperature"].mean()}
+
+    spent = []
+    for work in (
+        lambda: dpd.run(
+            matter.set(gamma=jnp.array(GRID["gamma"])), state, jax.random.split(KEY, 24), 0.01,
+            plan, progress=False,
+        ),
+        lambda: dpd.scan(one, GRID, key=KEY, progress=False),
+    ):  # fmt: skip
+        work()
+        began = time.monotonic()
+        work()
+        spent.append(time.monotonic() - began)
+    return spent[0] / spent[1]
+
+
+ROOMS = {"kills": kills, "output": output, "scans": scans}
 
 
 def page(data: dict):
@@ -207,6 +308,9 @@ def main(names):
     warnings.simplefilter("ignore")
     if names[:1] == ["child"]:
         sheared(Path(names[1]))
+        return
+    if names[:1] == ["scanning"]:
+        scan_by_dask(names[2]) if names[1] == "dask" else scanned(names[2])
         return
     data = json.loads(DATA.read_text()) if DATA.exists() else {}
     for room in [] if names == ["page"] else names or ROOMS:
