@@ -46,7 +46,7 @@ _HOMES = {
     "dpdjax.files.gsd": ["GSD", "gsd_writer", "write_gsd"],
     "dpdjax.files.loading": ["load_gsd"],
     "dpdjax.files.states": ["load_state", "save_state"],
-    "dpdjax.host.plot": ["plot_box"],
+    "dpdjax.host.plot": ["plot_box", "plot_flow_curve", "plot_profile", "plot_run"],
     "dpdjax.scans.drive": ["Run"],
     "dpdjax.scans.picture": ["plot_scan"],
     "dpdjax.scans.scan": ["scan"],

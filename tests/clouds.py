@@ -65,6 +65,7 @@ def recorded(position, fluid=None, strain=None, flow=None, size=None):
         fluid=fluid
         or SimpleNamespace(radius=(None, 0.5), interactions=(), batch_axes=lambda: None),
         interval=0.5,
+        dt=0.5,
     )
 
 

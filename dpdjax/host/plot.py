@@ -11,16 +11,18 @@ from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.host import projection
 from dpdjax.measure.clusters import cluster_of_each
-from dpdjax.measure.contacts import contacts_of_each
+from dpdjax.measure.contacts import contacts_of_each, gap_of_fluid
 from dpdjax.measure.profile import velocity_profile
 from dpdjax.measure.spheres import Spheres
 from dpdjax.model.beads import radii
-from dpdjax.model.colloids import attraction_range, solvent_reach
+from dpdjax.model.colloids import solvent_reach
 from dpdjax.model.fluid import Fluid
 from dpdjax.scans.picture import plot_scan
 
-SINGLE = "0.75"
-"""Colour of spheres that are in no cluster."""
+DOT = 0.15
+"""Radius of points behind spheres, in their reach."""
+SINGLE = 0.75
+"""Grey of spheres that are in no cluster."""
 NAMED = 5
 """Clusters whose sizes the legend tells."""
 
@@ -112,7 +114,8 @@ def plot_flow_curve(table: Any, ax: Any = None) -> Any:
             f"{', '.join(map(str, table.dims))}, its numbers {', '.join(map(str, table))}"
         )
     ax = plot_scan(table, "viscosity", x="rate", ax=ax)
-    ax.set(xscale="log", yscale="log")
+    labels = drawing.labelled("shear rate", "1/time"), drawing.labelled("viscosity")
+    ax.set(xscale="log", yscale="log", xlabel=labels[0], ylabel=labels[1])
     for which in "xy":
         drawing.plain_log_ticks(ax, which)
     return ax
@@ -153,15 +156,67 @@ def plot_box(
         raise ValueError(f"colour is {colour!r}; it is 'depth', 'contacts' or 'cluster'")
     if axis not in (0, 1, 2):
         raise ValueError(f"axis is {axis!r}; it is 0, 1 or 2")
+    solvent = None if solvent is None else float(not_negative(solvent, "solvent"))
     radius = np.zeros(state.n) if fluid is None else np.asarray(radii(fluid, state), float)
-    reach = 1.0 if fluid is None else solvent_reach(fluid)
+    reach, is_round = 1.0 if fluid is None else solvent_reach(fluid), radius > 0
+    cell = projection.Cell.of(state, axis)
+    place, depth = cell.inside(np.asarray(state.position, float))
     ax = drawing.axes(ax)
-    box = projection.Cell.of(state, axis)
-    position, depth = box.inside(np.asarray(state.position, float))
-    if not np.any(radius > 0):
-        thickness = reach if solvent is None else float(not_negative(solvent, "solvent"))
-        return projection.draw_slice(ax, box, position, depth, thickness, 0.5 * reach)
-    round_ones = radius > 0
-    paints, explain = _colours(state, round_ones, radius, fluid, colour, gap)
-    faint = ~round_ones & (depth > box.sides[axis] - (solvent or 0.0))
-    return ax
+    if not np.any(is_round):
+        sliced = depth < (reach if solvent is None else solvent)
+        return projection.draw_slice(ax, cell, place[sliced], depth[sliced], 0.5 * reach)
+    projection.draw_box(ax, cell)
+    behind = ~is_round & (depth > cell.lattice[axis, axis] - (solvent or 0.0))
+    projection.draw_points(ax, cell, place[behind], DOT * reach)
+    lengths, strain = np.diag(cell.lattice), float(state.box.strain)
+    spheres = Spheres(place[is_round], radius[is_round], lengths, strain)
+    paint = (
+        _by_depth(ax, cell, spheres)
+        if colour == "depth"
+        else _by_contacts(ax, spheres, colour, gap_of_fluid(fluid) if gap is None else gap)
+    )
+    return projection.draw_spheres(
+        ax, cell, place[is_round], radius[is_round], paint, colour != "depth"
+    )
+
+
+def _by_depth(ax, cell, spheres):
+    """Colours (n, 3) by how far behind the foremost corner, and their bar."""
+    ends = cell.edges()[0][..., 2]
+    depth = ends.max() - cell.seen(spheres.position[0, 0])[:, 2]
+    return _mapped(ax, depth, "YlGnBu_r", (0.0, np.ptp(ends)), drawing.labelled("depth", "length"))
+
+
+def _by_contacts(ax, spheres, colour, gap):
+    """Colours (n, 3) by the number of contacts, or the cluster, and what they mean."""
+    if colour == "cluster":
+        return _by_cluster(ax, cluster_of_each(spheres, gap=gap)[0, 0])
+    z = contacts_of_each(spheres, gap=gap)[0, 0]
+    return _mapped(ax, z, "viridis", (-0.5, max(z.max(), 1) + 0.5), "contacts z")
+
+
+def _mapped(ax, values, cmap: str, limits, label: str):
+    """Colours (n, 3) of values (n,), a step of the map for each where they are whole numbers, and
+    their bar."""
+    import matplotlib as mpl
+
+    whole = values.dtype.kind == "i"
+    cmap = mpl.colormaps[cmap].resampled(round(np.ptp(limits)) if whole else 256)
+    mapped = mpl.cm.ScalarMappable(mpl.colors.Normalize(*limits), cmap)
+    ticks = {"ticks": mpl.ticker.MaxNLocator(integer=True)} if whole else {}
+    ax.figure.colorbar(mapped, ax=ax, label=label, shrink=0.8, **ticks)
+    return mapped.to_rgba(values)[:, :3]
+
+
+def _by_cluster(ax, cluster):
+    """Colours (n, 3) by the cluster of each, single ones grey, and the sizes of the largest."""
+    import matplotlib as mpl
+
+    size = np.bincount(cluster)
+    hues = np.array(mpl.colormaps["tab10"].colors)[[0, 1, 2, 3, 4, 5, 6, 8, 9]]
+    of_cluster = np.where(size[:, None] > 1, hues[np.arange(len(size)) % len(hues)], SINGLE)
+    told = [(f"cluster of {n}", of_cluster[k]) for k, n in enumerate(size[:NAMED]) if n > 1]
+    told += [(f"{np.sum(size == 1)} single", [SINGLE] * 3)] if np.any(size == 1) else []
+    patches = [mpl.patches.Patch(color=hue, label=label) for label, hue in told]
+    ax.legend(handles=patches, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return of_cluster[cluster]

@@ -37,19 +37,16 @@ class Cell:
         return cls(lattice, axis)
 
     def inside(self, position):
-        """The images (n, 3) of positions that are in the box, and their shares of its vectors."""
+        """The images (n, 3) of positions that are in the box, and how far along the axis they are
+        behind the face that one looks at, (n,)."""
         shares = position @ np.linalg.inv(self.lattice) % 1.0
-        return shares @ self.lattice, shares
-
-    def depth(self, shares):
-        """How far behind the face that one looks at, by shares of the vectors (n, 3) [length]."""
-        along = shares[:, self.axis] * self.lattice[self.axis, self.axis]
-        return along if TOWARD[self.axis] < 0 else self.lattice[self.axis, self.axis] - along
+        along = shares[:, self.axis] if TOWARD[self.axis] < 0 else 1.0 - shares[:, self.axis]
+        return shares @ self.lattice, along * self.lattice[self.axis, self.axis]
 
     @property
     def flat(self) -> list[int]:
         """The two other axes, to the right and up."""
-        return [k for k in range(3) if k != self.axis] if self.axis else [1, 2]
+        return [k for k in range(3) if k != self.axis]
 
     def seen(self, position):
         """Positions (n, 3) as to the right, up and toward the viewer."""
@@ -105,15 +102,16 @@ def draw_box(ax, cell: Cell):
         outer = np.flatnonzero((along == k) & ~behind & ~before)
         place = middle[outer[np.argmin(middle[outer].sum(axis=1))]]
         told = f"$L_{'xyz'[k]}$ = {np.diag(cell.lattice)[k]:.4g}"
-        sides = {"ha": "right" if k == cell.flat[1] else "center", "va": "top"}
-        ax.text(*(centre + 1.04 * (place - centre)), told, clip_on=False, **sides)
+        out = (place - centre) / np.linalg.norm(place - centre)
+        side = "left" if out[0] > 0.3 else "right" if out[0] < -0.3 else "center"
+        ax.annotate(told, place, 5 * out, textcoords="offset points", ha=side, va="top", zorder=6)
     ax.set_axis_off()
     ax.set_aspect("equal")
 
 
 def draw_spheres(ax, cell: Cell, position, radius, colours, fade: bool):
     """Shaded spheres at positions (n, 3), with radii (n,) and colours (n, 3), the far ones first
-    and, to ``fade``, lighter."""
+    and, to ``fade``, lighter; returns the axes."""
     place = cell.seen(position)
     order = np.argsort(place[:, 2])
     place, radius, colours = place[order], radius[order], colours[order]
@@ -128,19 +126,15 @@ def draw_spheres(ax, cell: Cell, position, radius, colours, fade: bool):
     centres = (place[:, None, :2] + offset).reshape(-1, 2)
     face = np.clip(light.reshape(-1, 3), 0, 1)
     _discs(ax, centres, size.ravel(), facecolor=face, edgecolor="0.15", linewidth=rim, zorder=3)
-    _make_room(ax, place[:, :2] - radius[:, None], place[:, :2] + radius[:, None])
+    ax.update_datalim(np.concatenate([place[:, :2] + d * radius[:, None] for d in (-1, 1)]))
+    ax.autoscale_view()
+    return ax
 
 
 def draw_points(ax, cell: Cell, position, radius: float):
     """Small faint dots at positions (n, 3), behind all spheres."""
     style = {"facecolor": "C0", "alpha": 0.35, "linewidth": 0, "zorder": 2}
     _discs(ax, cell.seen(position)[:, :2], radius, **style)
-
-
-def _make_room(ax, low, high):
-    """Widen the limits so that all between ``low`` and ``high`` (n, 2) is in the picture."""
-    ax.update_datalim(np.concatenate([low, high]))
-    ax.autoscale_view()
 
 
 def _discs(ax, centres, radius, **style):

@@ -97,7 +97,7 @@ def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
     """The spheres, and the gap or that of the fluid of a run; ValueError for one that will not
     do."""
     found = as_spheres(what)
-    gap = _gap_of_fluid(what) if gap is None else gap
+    gap = gap_of_fluid(getattr(what, "fluid", None)) if gap is None else gap
     positive(gap, "gap")
     gap = float(gap)
     reach, half = 2 * np.max(found.radius) + gap, 0.5 * np.min(found.lengths)
@@ -109,10 +109,11 @@ def spheres_and_gap(what, gap) -> tuple[Spheres, float]:
     return found, gap
 
 
-def _gap_of_fluid(what) -> float:
-    if not hasattr(what, "fluid"):
+def gap_of_fluid(fluid) -> float:
+    """Over which its spheres attract each other; ValueError where they do not, or it is None."""
+    if fluid is None:
         raise ValueError("no gap is given, and no fluid tells it; give gap=... [length]")
     try:
-        return attraction_range(what.fluid)
+        return attraction_range(fluid)
     except ValueError as error:
         raise ValueError(f"no gap is given, and {error}; give gap=... [length]") from error

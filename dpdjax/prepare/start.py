@@ -262,11 +262,23 @@ def _lattice(n, lengths):
     return (np.stack(np.unravel_index(chosen, sites), 1) + 0.5) / sites * lengths
 
 
-@jax.jit
 def _velocities(key, mass, kT):
-    """Maxwell velocities, shifted to zero momentum."""
+    """Maxwell velocities, shifted to zero momentum.
+
+    In programs of their own: fused, they would be rounded by the number of threads.
+    """
+    velocity = _maxwell(key, mass, kT)
+    return velocity - _mean_velocity(mass, velocity)
+
+
+@jax.jit
+def _maxwell(key, mass, kT):
     draw = jax.random.normal(
         jax.random.fold_in(key, Domain.VELOCITY), (mass.shape[0], 3), dtype=mass.dtype
     )
-    velocity = draw * jnp.sqrt(kT / mass)[:, None]
-    return velocity - jnp.sum(mass[:, None] * velocity, axis=0, keepdims=True) / jnp.sum(mass)
+    return draw * jnp.sqrt(kT / mass)[:, None]
+
+
+@jax.jit
+def _mean_velocity(mass, velocity):
+    return jnp.sum(mass[:, None] * velocity, axis=0, keepdims=True) / jnp.sum(mass)

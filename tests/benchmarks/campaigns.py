@@ -211,9 +211,9 @@ def scans():
         found["status after SIGTERM"] = half.wait()
         found["runs done by then"] = int((dpd.load_scan(at("half")).status == 1).sum())
         flags = "--xla_force_host_platform_device_count=2"
-        for way, flags in (("half", ""), ("devices", flags), ("dask", "")):
+        for way, given in (("half", ""), ("devices", flags), ("dask", "")):
             mode = "dask" if way == "dask" else "plain"
-            assert _scanning(mode, at(way), XLA_FLAGS=flags).wait() == 0
+            assert _scanning(mode, at(way), XLA_FLAGS=given).wait() == 0
             found[f"same bits, {WAYS[way]}"] = _same(dpd.load_scan(at(way)), whole)
         parts = [at(f"part{i}") for i in (1, 2, 3)]
         for i, part in enumerate(parts):

@@ -66,6 +66,11 @@ def level_of(values, error):
     return dpd.Estimate(float(np.mean(values[later])), float(np.mean(error[later])))
 
 
+def level_of_profile(profile):
+    """The mean temperature, with the mean of the errors."""
+    return dpd.Estimate(float(profile.temperature.mean()), float(profile.temperature_error.mean()))
+
+
 def bonded(run):
     """Contacts of a sphere, from the pairs that are bonded in each frame."""
     members = dpd.measure.bonded_pairs(run, gap=0.5, forms=1.0)
@@ -131,6 +136,10 @@ CASES = {
     ),
     "mean_squared_displacement, yz": Case(
         lambda run: displacement(run, "yz"), WITHOUT_DRIFT, settled=True
+    ),
+    "velocity_profile": Case(
+        lambda run: level_of_profile(dpd.measure.velocity_profile(run, bins=5, species=1)),
+        DIFFUSION * runs.LIGHT * AT_ONCE / 3 / (1 - 1 / (runs.POINTS + runs.SPHERES)),
     ),
     "velocity_autocorrelation": Case(
         lambda run: curve_at(dpd.measure.velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE),

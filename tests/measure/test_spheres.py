@@ -7,9 +7,9 @@ from clouds import SIDES, STRAINS, lattice_of, one_frame, recorded, thrown, two_
 
 import dpdjax as dpd
 from dpdjax.engine.flow import Flow
-from dpdjax.measure.clusters import clusters
+from dpdjax.measure.clusters import cluster_of_each, clusters
 from dpdjax.measure.contact_bonds import bonded_pairs, contact_bonds
-from dpdjax.measure.contacts import contact_number
+from dpdjax.measure.contacts import contact_number, contacts_of_each
 from dpdjax.measure.distribution import pair_distribution, partial_distribution
 from dpdjax.measure.scattering import structure_factor
 from dpdjax.measure.spheres import Spheres, spheres
@@ -252,4 +252,31 @@ def test_results_draw_themselves():
     for result, label in zip(results, labels):
         ax = result.plot()
         assert ax.get_ylabel() == label
-        assert result.plot(ax) is ax and len(ax.lines) == len(ax.collections) == 2
+        assert result.plot(ax) is ax
+        drawn = ax.containers if label == "P(z)" else ax.lines
+        assert len(drawn) in (2, 4)
+
+
+def test_contact_numbers_are_bars_and_a_series():
+    pytest.importorskip("matplotlib").use("Agg")
+    found = contact_number(Spheres(thrown(3, 6, 20), 0.5, SIDES), gap=0.5)
+    bars, stems = found.plot().containers[::-1]
+    np.testing.assert_allclose([bar.get_height() for bar in bars], found.share)
+    assert len(stems[2][0].get_segments()) == len(found.z)
+    ax = found.plot_series(tau=2.0)
+    np.testing.assert_allclose(ax.lines[0].get_xdata(), found.time / 2.0)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), found.series.mean(axis=0))
+    low, high = (f(ax.collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
+    assert low < found.series.mean(axis=0).min() and high > found.series.mean(axis=0).max()
+    assert ax.get_xlabel() == "t/tau" and found.plot_series().get_xlabel() == "t [time]"
+    with pytest.raises(ValueError, match="tau"):
+        found.plot_series(tau=0.0)
+
+
+def test_contacts_and_cluster_of_each_sphere():
+    """Three in a row, across a face, two together, one alone."""
+    x = np.array([0.4, 5.5, 1.4, 3.0, 3.0, 3.0])
+    y = np.array([1.0, 1.0, 1.0, 4.0, 4.95, 6.0]) + np.array([0, 0, 0, 0, 0, 0.5])
+    frame = one_frame(np.stack([x, y, np.full(6, 2.0)], axis=1), strain=0.0)
+    assert contacts_of_each(frame, gap=0.15)[0, 0].tolist() == [2, 1, 1, 1, 1, 0]
+    assert cluster_of_each(frame, gap=0.15)[0, 0].tolist() == [0, 0, 0, 1, 1, 2]

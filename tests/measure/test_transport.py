@@ -27,6 +27,7 @@ def trajectory(unwrapped, velocity, interval, species=None, mass=(1.0,), flow=No
     return SimpleNamespace(
         frames={"unwrapped": unwrapped, "velocity": velocity},
         interval=interval,
+        dt=interval,
         flow=Flow.of(flow),
         final=SimpleNamespace(
             species=species,
@@ -295,7 +296,16 @@ def test_results_draw_themselves(brownian):
         velocity_autocorrelation(brownian, t_max=2.0),
     )
     assert msd.plot().get_ylabel() == "mean squared displacement [length$^2$]"
+    ax = msd.plot(fit=(1.0, 2.0))
+    late = msd.time >= 1.0 - 1e-6
+    slope = np.polyfit(msd.time[late], msd.value[late], 1)[0]
+    assert ax.lines[1].get_label() == f"6 D t + const, D = {slope / 6:.4g}"
+    with pytest.raises(ValueError, match="holds 0 lags"):
+        msd.plot(fit=(5.0, 6.0))
+    across = mean_squared_displacement(brownian, t_max=2.0, axes="yz").scaled(length=2.0)
+    assert across.plot(fit=(1.0, 2.0)).lines[1].get_label().startswith("4 D t")
     ax = vacf.plot()
+    assert ax.get_ylabel() == "velocity autocorrelation [length$^2$/time$^2$]"
     assert ax.get_xlabel() == "t [time]" and vacf.plot(ax) is ax
 
 
