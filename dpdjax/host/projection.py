@@ -104,7 +104,8 @@ def draw_box(ax, cell: Cell):
         told = f"$L_{'xyz'[k]}$ = {np.diag(cell.lattice)[k]:.4g}"
         out = (place - centre) / np.linalg.norm(place - centre)
         side = "left" if out[0] > 0.3 else "right" if out[0] < -0.3 else "center"
-        ax.annotate(told, place, 5 * out, textcoords="offset points", ha=side, va="top", zorder=6)
+        high = "bottom" if out[1] > 0.3 else "top" if out[1] < -0.3 else "center"
+        ax.annotate(told, place, 9 * out, textcoords="offset points", ha=side, va=high, zorder=6)
     ax.set_axis_off()
     ax.set_aspect("equal")
 

@@ -132,7 +132,7 @@ def made_up(flow=None, inertia=0.1, **frames):
     )
     interval = np.asarray(H)
     return SimpleNamespace(
-        frames=frames, flow=Flow.of(flow), final=final, fluid=fluid, interval=interval
+        frames=frames, flow=Flow.of(flow), final=final, fluid=fluid, interval=interval, dt=interval
     )
 
 
