@@ -120,10 +120,11 @@ def trips_of(plan: Plan, room: int):
     return np.int32(plan.frames), intervals
 
 
-def without_failed(before: State, after: State, frames: dict):
-    """What a batch goes on with, state and frames: members that failed stay where they were, and
-    their frames are NaN."""
+def without_failed(before: State, after: State, frames: dict, failed=()):
+    """What a batch goes on with, state and frames: members that failed, now or before (``failed``),
+    stay where they were, and their frames are NaN."""
     lost = np.asarray(after.status) != 0
+    lost[list(failed)] = True
     if not lost.any():
         return after, frames
     of = lambda leaf: lost.reshape(-1, *[1] * (np.ndim(leaf) - 1))

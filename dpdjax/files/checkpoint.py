@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -17,9 +18,12 @@ from dpdjax.files import states
 from dpdjax.files.told import differences, told
 
 STATE, FRAMES, LOCK = "state.npz", "frames-{:010d}.npz", "lock"
+BEFORE, PLANNED = "recorded.", "frames at"
+"""What names of recorded values begin with in a file, so that any will do; and what of a run may
+become longer."""
 SEEN, NEAR = 32, 1e-2
-"""Beads of the start that a checkpoint remembers, and how far they may be elsewhere, over the side:
-another processor rounds another way."""
+"""Beads of the start that a checkpoint remembers, and how far they may be elsewhere, over the side
+or what is largest: another processor rounds another way."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,22 +87,16 @@ class Checkpoint:
         if frames:
             joined = jax.tree.map(lambda *parts: np.concatenate(parts, axis), *frames)
             with states.replacing(self._frames(saved.frames)) as file:
-                np.savez(file, **joined)
+                np.savez(file, **{BEFORE + name: values for name, values in joined.items()})
         more = {f.name: getattr(saved, f.name) for f in dataclasses.fields(saved)}
         states.save(os.path.join(self.folder, STATE), more.pop("state"), more)
 
     def frames(self, count: int, axis: int) -> dict:
         """The first ``count`` frames that were saved, by name."""
-        ends = sorted(
-            int(name[len("frames-") : -len(".npz")])
-            for name in os.listdir(self.folder)
-            if name.startswith("frames-") and name.endswith(".npz")
-        )
         parts = []
-        for end in ends:
-            if end <= count:
-                with np.load(self._frames(end)) as file:
-                    parts.append(dict(file))
+        for end in sorted(end for end in self._ends() if end <= count):
+            with np.load(self._frames(end)) as file:
+                parts.append({name.removeprefix(BEFORE): file[name] for name in file})
         join = lambda *values: np.concatenate(values, axis)
         found = jax.tree.map(join, *parts) if parts else {}
         if (found["step"].shape[axis] if found else 0) != count:
@@ -110,9 +108,14 @@ class Checkpoint:
 
     def drop_later(self, count: int) -> None:
         """Remove frames beyond the first ``count``, of a run that ended before it was saved."""
-        for name in os.listdir(self.folder):
-            if name.startswith("frames-") and int(name[len("frames-") : -len(".npz")]) > count:
-                os.remove(os.path.join(self.folder, name))
+        for end in self._ends():
+            if end > count:
+                os.remove(self._frames(end))
+        for unfinished in Path(self.folder).glob("*.part"):
+            os.remove(unfinished)
+
+    def _ends(self) -> list[int]:
+        return [int(path.stem.split("-")[1]) for path in Path(self.folder).glob("frames-*.npz")]
 
     def _frames(self, end: int) -> str:
         return os.path.join(self.folder, FRAMES.format(end))
@@ -127,8 +130,9 @@ class Saved:
         frames: how many there are.
         failed: of a batch, the members that failed so far, number and reason.
         made: what made it, as :func:`made_by` tells it.
-        start: where some beads were at the start.
-        out: the GSD file that holds the frames; None where the checkpoint does.
+        start: of some beads at the start, places, velocities and sizes.
+        planned: frames of the plan it was saved under.
+        out: the GSD file that holds the frames, as :class:`Target`; None where the checkpoint does.
     """
 
     state: State
@@ -136,7 +140,13 @@ class Saved:
     failed: list
     made: dict
     start: list
-    out: str | None
+    planned: int
+    out: dict | None
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it was saved at the end of its plan."""
+        return self.frames >= self.planned
 
 
 def made_by(system: System, state: State, key, plan: Plan, how: tuple) -> dict:
@@ -146,6 +156,7 @@ def made_by(system: System, state: State, key, plan: Plan, how: tuple) -> dict:
         "version": dpdjax.__version__,
         "dtype": str(state.position.dtype),
         "beads": list(state.position.shape[:-1]),
+        "species": told(state.species),
         "box": told(state.box.lengths),
         "step": told(state.step),
         "fluid": told(system.fluid),
@@ -154,7 +165,7 @@ def made_by(system: System, state: State, key, plan: Plan, how: tuple) -> dict:
         "integrator": told(system.integrator),
         "key": told(key),
         "observe": told(how),
-        "intervals": _intervals(plan),
+        PLANNED: _intervals(plan),
     }
 
 
@@ -163,25 +174,30 @@ def _intervals(plan: Plan):
 
 
 def start_of(state: State) -> list:
-    """Where some of the beads are, over the sides of the box."""
-    position = np.asarray(state.position, float).reshape(-1, 3)
-    some = position[np.linspace(0, len(position) - 1, SEEN).astype(int)]
+    """Of some of the beads where they are, over the sides of the box, their velocities, over the
+    largest, and their sizes."""
+    position, velocity = (
+        np.asarray(x, float).reshape(-1, 3) for x in (state.position, state.velocity)
+    )
     sides = np.asarray(state.box.lengths, float).reshape(-1, 3)[0]
-    return np.round(some / sides, 6).tolist()
+    largest = max(float(np.abs(velocity).max()), np.finfo(float).tiny)
+    size = np.asarray(state.size, float).reshape(-1, 1)
+    rows = np.concatenate([position / sides, velocity / largest, size], axis=1)
+    rows = np.concatenate([rows, np.full((len(rows), 1), largest)], axis=1)
+    return np.round(rows[np.linspace(0, len(rows) - 1, SEEN).astype(int)], 6).tolist()
 
 
-def check_same(saved: Saved, made: dict, state: State, out: str | None, folder) -> None:
+def check_same(saved: Saved, made: dict, state: State, plan: Plan, out, folder) -> None:
     """Raise FileError, naming what differs, unless a run is that of a checkpoint, or longer."""
-    before, now = dict(saved.made), dict(made)
-    told_plans = before.pop("intervals"), now.pop("intervals")
-    lines = differences(before, now)
-    if not _goes_on(*told_plans, saved.frames):
-        lines.append(f"plan: frames at {told_plans[0]} then, at {told_plans[1]} now")
-    apart = np.asarray(saved.start) - np.asarray(start_of(state))
-    if np.max(np.abs(apart - np.round(apart))) > NEAR:
-        lines.append("state: its beads are elsewhere than those the run began with")
-    if out != saved.out:
-        lines.append(f"out: {saved.out} then, {out} now")
+    lines = differences(*({k: v for k, v in m.items() if k != PLANNED} for m in (saved.made, made)))
+    before, now = saved.made[PLANNED], made[PLANNED]
+    if plan.frames < saved.frames:
+        lines.append(f"plan: {saved.frames} frames were done, and it has {plan.frames} now")
+    elif _steps(before, saved.frames) != _steps(now, saved.frames):
+        lines.append(f"plan: frames at {before} then, at {now} now")
+    if not lines:
+        lines += _moved(saved.start, start_of(state))
+    lines += differences(saved.out or {"file": None}, out or {"file": None}, "out")
     if lines:
         raise FileError(
             f"checkpoint {os.fspath(folder)!r} is of another run: {'; '.join(lines)}. Give what "
@@ -189,11 +205,21 @@ def check_same(saved: Saved, made: dict, state: State, out: str | None, folder) 
         )
 
 
-def _goes_on(before, now, done: int) -> bool:
-    """Whether frames at the intervals ``now`` begin with those that were done."""
-    if isinstance(before, list) and isinstance(now, list):
-        return before[:done] == now[:done]
-    return before == now
+def _moved(before: list, now: list) -> list[str]:
+    apart = np.asarray(before) - np.asarray(now)
+    apart[:, :3] -= np.round(apart[:, :3])
+    apart[:, 7] /= np.asarray(now)[:, 7]
+    off = np.abs(apart).max(axis=0) > NEAR
+    what = {"places": off[:3].any(), "velocities": off[3:6].any() | off[7], "sizes": off[6]}
+    names = [name for name, is_off in what.items() if is_off]
+    return [f"state: it began with other {' and '.join(names)} of its beads"] if names else []
+
+
+def _steps(intervals, count: int) -> list[int]:
+    """Steps of the first frames of a plan."""
+    if isinstance(intervals, list):
+        return intervals[:count]
+    return [intervals * (k + 1) for k in range(count)]
 
 
 class Clock:

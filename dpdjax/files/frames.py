@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from dpdjax.errors import FileError
-from dpdjax.files.gsd import ABOUT, OF_BEADS, OWN, angular_velocity, middle, reading
+from dpdjax.files.gsd import ABOUT, FILES, OF_BEADS, OWN, angular_velocity, middle, reading
 
 
 @jax.tree_util.register_pytree_node_class
@@ -21,36 +21,47 @@ class StoredFrames(Mapping):
     """
 
     def __init__(self, path: str | os.PathLike, begin: int = 0):
-        self.path, self.begin = path, begin
+        self.path, self.begin = os.path.abspath(path), begin
         with reading(path) as file:
-            self.about = about(file)
+            self.about = about(file, begin)
             self.count = max(0, int(len(file)) - begin)
-            beads = file[0].particles if self.count else None
+            beads = file[begin].particles if self.count else None
+        self._logged = {name: kind for name, kind in self.about.get("recorded", {}).items()}
         self.shapes = self._shapes(beads)
 
     def _shapes(self, beads) -> dict[str, tuple]:
         """Of every name the shape of its values, the frames in front."""
         if beads is None:
             return {}
-        own = {name: (beads.N, 3) for name in OF_BEADS} | {"strain": ()}
-        own |= {name: tuple(shape) for name, shape in self.about.get("recorded", {}).items()}
+        own = {name: (beads.N, 3) for name in (*OF_BEADS, "unwrapped")} | {"strain": ()}
         if beads.moment_inertia is not None and np.any(beads.moment_inertia):
             rotating = int(np.any(beads.moment_inertia, axis=1).sum())
             own |= {"orientation": (rotating, 4), "angular_velocity": (rotating, 3)}
+        own |= {name: tuple(shape) for name, (shape, _) in self._logged.items()}
         return {name: (self.count, *map(int, shape)) for name, shape in own.items()}
+
+    def __contains__(self, name) -> bool:
+        return name in self.shapes
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.shapes:
             raise KeyError(name)
         numbers = range(self.begin, self.begin + self.count)
         with reading(self.path) as file:
-            if name in self.about.get("recorded", {}) or name == "strain":
+            self._check_same(file)
+            if name in self._logged:
                 rows = [file.file.read_chunk(k, f"log/{OWN}{name}") for k in numbers]
-            elif name in OF_BEADS:
-                rows = [self._bead(name, file, k) for k in numbers]
-            else:
-                rows = [_turning(name, file[k].particles) for k in numbers]
-        return np.stack(rows).reshape(self.shapes[name])
+                return np.stack(rows).astype(self._logged[name][1]).reshape(self.shapes[name])
+            of = _OF_FRAME.get(name, _turning)
+            return np.stack([of(name, file, k) for k in numbers])
+
+    def _check_same(self, file):
+        """Raise FileError where the file is another one by now."""
+        if len(file) < self.begin + self.count or about(file, self.begin) != self.about:
+            raise FileError(
+                f"{self.path} is no longer the file that these frames were written to; give each "
+                "run a file of its own"
+            )
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.shapes)
@@ -70,39 +81,49 @@ class StoredFrames(Mapping):
         """The arrays by name, no longer in a file."""
         return dict(zip(names, arrays))
 
-    @staticmethod
-    def _bead(name: str, file, k: int) -> np.ndarray:
-        frame = file[k]
-        position, velocity, image, _ = as_run(frame)
-        if name == "velocity":
-            rate = file.file.read_chunk(k, f"log/{OWN}rate")[0]
-            velocity[:, 0] -= rate * frame.particles.position[:, 1]
-        return {"position": position, "velocity": velocity, "image": image}[name]
 
-
-def about(file) -> dict:
-    """What the first frame of an open GSD file says of the run that wrote it; empty where another
-    program did."""
-    if not len(file) or not file.file.chunk_exists(0, ABOUT):
+def about(file, frame: int = 0) -> dict:
+    """What a frame of an open GSD file, the first of a run, says of it; empty where another program
+    wrote it."""
+    if frame >= len(file) or not file.file.chunk_exists(frame, ABOUT):
         return {}
     try:
-        return json.loads(bytes(file.file.read_chunk(0, ABOUT)))
+        return json.loads(bytes(file.file.read_chunk(frame, ABOUT)))
     except ValueError as error:
         raise FileError(f"{file.file.name} does not tell what made it: {error}") from error
+
+
+def told(file, frame: int, name: str, other):
+    """A number that a frame of an open file tells of its own, or ``other`` where it does not."""
+    chunk = f"log/{FILES}{name}"
+    there = file.file.chunk_exists(frame, chunk)
+    return float(file.file.read_chunk(frame, chunk)[0]) if there else other
 
 
 def as_run(frame):
     """Wrapped positions (n, 3), velocities as in the file, images and strain of a frame."""
     lengths, strain = np.asarray(frame.configuration.box[:3], float), _strain(frame)
     beads = frame.particles
-    position = beads.position.astype(float) + middle(lengths, strain)
-    columns = np.floor(position[:, 0] / lengths[0]).astype(np.int32)
-    position[:, 0] -= columns * lengths[0]
+    x, y, z = (beads.position.astype(float) + middle(lengths, strain)).T
+    # Single precision rounds places next to a face onto it: those stay where they are.
+    crossings = lambda s: np.where((s > -ONTO) & (s < 1 + ONTO), 0.0, np.floor(s))
+    rows, layers = crossings(y / lengths[1]), crossings(z / lengths[2])
+    x = x - rows * strain * lengths[1]
+    columns = np.floor(x / lengths[0])
+    crossed = np.stack([columns, rows, layers], axis=1)
+    position = np.stack([x, y, z], axis=1) - crossed * lengths
     image = np.zeros((beads.N, 3), np.int32) if beads.image is None else np.array(beads.image)
-    image[:, 0] += columns
-    # Single precision may round a place up onto the face.
-    position = np.minimum(position.astype(np.float32), np.nextafter(np.float32(lengths), 0))
-    return np.maximum(position, 0), np.array(beads.velocity, np.float32), image, strain
+    inside = np.clip(position, 0.0, np.nextafter(np.float32(lengths), np.float32(0)))
+    return (
+        inside.astype(np.float32),
+        np.array(beads.velocity, np.float32),
+        image + crossed.astype(np.int32),
+        strain,
+    )
+
+
+ONTO = 1e-6
+"""Share of a side within which a place is on a face."""
 
 
 def _strain(frame) -> float:
@@ -114,7 +135,45 @@ def _strain(frame) -> float:
     return xy
 
 
-def _turning(name: str, beads) -> np.ndarray:
+def _position(_, file, k: int) -> np.ndarray:
+    return as_run(file[k])[0]
+
+
+def _velocity(_, file, k: int) -> np.ndarray:
+    frame = file[k]
+    velocity = as_run(frame)[1]
+    velocity[:, 0] -= told(file, k, "rate", 0.0) * frame.particles.position[:, 1]
+    return velocity
+
+
+def _image(_, file, k: int) -> np.ndarray:
+    return as_run(file[k])[2]
+
+
+def _unwrapped(_, file, k: int) -> np.ndarray:
+    frame = file[k]
+    position, _, image, strain = as_run(frame)
+    lengths = np.asarray(frame.configuration.box[:3], float)
+    whole = position + image * lengths
+    whole[:, 0] += strain * lengths[1] * image[:, 1]
+    return whole.astype(np.float32)
+
+
+def _strain_told(_, file, k: int):
+    return np.asarray(file.file.read_chunk(k, f"log/{FILES}strain")[0])
+
+
+_OF_FRAME = {
+    "position": _position,
+    "velocity": _velocity,
+    "image": _image,
+    "unwrapped": _unwrapped,
+    "strain": _strain_told,
+}
+
+
+def _turning(name: str, file, k: int) -> np.ndarray:
+    beads = file[k].particles
     rotating = np.any(beads.moment_inertia, axis=1)
     orientation = beads.orientation[rotating]
     if name == "orientation":

@@ -5,13 +5,15 @@ import contextlib
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Iterator
+import uuid
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from dpdjax.engine.flow import Flow
-from dpdjax.engine.observables import rotations
+from dpdjax.engine.observables import positions, rotations
+from dpdjax.engine.record import Recorder
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.errors import FileError
@@ -24,15 +26,17 @@ DRAWN_RADIUS = 0.5
 """Radius of beads that are points, for drawing alone, over the reach of those of the first species.
 """
 OF_BEADS = ("position", "velocity", "image")
+DERIVED = {positions: (*OF_BEADS, "strain", "unwrapped")}
+"""What observables record that is told by the beads of a file, and not logged beside them."""
 RECORDED = (*OF_BEADS, "strain")
 TURNING = ("orientation", "angular_velocity")
 """Recorded too where beads rotate."""
 BEADS = "beads/"
 """What the names begin with under which a run that writes a file records its beads, beside what it
 was told to observe."""
-OWN, ABOUT = "dpdjax/", "dpdjax/about"
-"""What the names begin with under which a file logs what a run recorded; and under which its first
-frame says what made it."""
+OWN, FILES, ABOUT = "dpdjax/", "dpdjax/file/", "dpdjax/about"
+"""What the names begin with under which a file logs what a run recorded, and what it tells of its
+own; and under which the first frame of a run says what made it."""
 THERMO = "md/compute/ThermodynamicQuantities/"
 UPPER = np.triu_indices(3)
 
@@ -94,6 +98,14 @@ def beads_record(fluid: Fluid, state: State) -> dict:
     return {BEADS + name: values for name, values in gsd_record(fluid, state).items()}
 
 
+DERIVED[gsd_record] = (*RECORDED, *TURNING)
+
+
+def derived(how: Iterable[Recorder]) -> set[str]:
+    """Names of what recorders record that the beads of a file tell."""
+    return {name for r in how if r.how == "last" for name in DERIVED.get(r.observe, ())}
+
+
 @contextlib.contextmanager
 def gsd_writer(
     path: str | os.PathLike,
@@ -103,6 +115,7 @@ def gsd_writer(
     *,
     species: int | None = None,
     about: dict | None = None,
+    untold: Iterable[str] = (),
 ) -> Iterator[Callable]:
     """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that
     recorded :func:`gsd_record`.
@@ -125,7 +138,8 @@ def gsd_writer(
         fluid, state: what runs, and the state it starts from.
         mode: ``"x"`` for a new file, ``"w"`` to replace one, ``"r+"`` to go on with one.
         species: the only one whose beads are written; all by default.
-        about: what the first frame of a new file is to say of the run.
+        about: what the first frame that is written is to say of the run.
+        untold: names of what is recorded and not to be logged.
 
     Raises ImportError where the package ``gsd`` is missing, FileExistsError by ``"x"`` for a file
     that is there, ValueError by ``"r+"`` for one of other beads or another box; FileError where the
@@ -137,16 +151,20 @@ def gsd_writer(
     if mode == "r+":
         check_fits(path, fluid, state, species)
     beads = Beads.of(fluid, state, species)
+    # What a run that goes on with its own file has told at its first frame.
+    is_told = mode == "r+" and about is None
     with writing(path), hoomd.open(str(path), mode) as file:
 
         def write(frames, flow=None):
+            nonlocal is_told
             flow = None if flow is None else Flow.of(flow)
+            log = _to_log(frames, set(untold))
             with writing(path):
-                if not len(file):
-                    _tell(file, about, frames, state.n)
-                file.extend(
-                    beads.frame(hoomd.Frame(), frames, k, flow) for k in range(len(frames["step"]))
-                )
+                if not is_told:
+                    _tell(file, about, log)
+                    is_told = True
+                made = lambda k: beads.frame(hoomd.Frame(), frames, log, k, flow)
+                file.extend(made(k) for k in range(len(frames["step"])))
                 file.flush()
 
         yield write
@@ -168,19 +186,21 @@ def writing(path):
         ) from error
 
 
-def _tell(file, about, frames, n: int):
-    """What made the file, and the shapes of what it logs, into its first frame."""
-    shape_of = lambda values: list(np.shape(values)[1:])
-    recorded = {name: shape_of(values) for name, values in _to_log(frames, n).items()}
-    text = json.dumps({"recorded": recorded} | (about or {}))
+def _tell(file, about, log):
+    """What made the frames that follow, and the shapes and kinds of what they log, into the first
+    of them."""
+    kind_of = lambda values: [list(np.shape(values)[1:]), str(values.dtype)]
+    recorded = {name: kind_of(np.asarray(values)) for name, values in log.items()}
+    text = json.dumps((about or {}) | {"recorded": recorded, "id": uuid.uuid4().hex})
     file.file.write_chunk(ABOUT, np.frombuffer(text.encode(), np.uint8))
 
 
-def _to_log(frames, n: int) -> dict:
+def _to_log(frames, untold: set[str]) -> dict:
     """What of recorded frames is logged: all but the beads themselves."""
-    is_whole = lambda name: name in OF_BEADS and np.shape(frames[name])[1] == n
-    are_beads = lambda name: name.startswith(BEADS) or name in TURNING or is_whole(name)
-    return {name: values for name, values in frames.items() if not are_beads(name)}
+    if BEADS + "position" not in frames:
+        untold = {*RECORDED, *TURNING}
+    is_logged = lambda name: name not in untold and not name.startswith(BEADS)
+    return {name: values for name, values in frames.items() if is_logged(name)}
 
 
 def hoomd_files():
@@ -270,13 +290,14 @@ class Beads:
         slots: of those that are written, among all.
         lengths: sides of the box.
         same: values by their names in a GSD file.
-        spins: places of those that rotate among the written ones, and their moments of inertia.
+        spins: of the beads that rotate which are written, their places among those, and their
+            moments of inertia; None where none rotates.
     """
 
     slots: np.ndarray
     lengths: np.ndarray
     same: dict[str, Any]
-    spins: tuple[np.ndarray, np.ndarray] | None
+    spins: tuple[np.ndarray, np.ndarray, np.ndarray] | None
 
     @classmethod
     def of(cls, fluid, state, species: int | None = None) -> "Beads":
@@ -296,17 +317,20 @@ class Beads:
             "diameter": 2 * drawn.astype(np.float32)[slots],
         }
         spins = None
-        if state.rotation is not None and np.isin(slots, np.r_[state.rotation.slots]).any():
+        if state.rotation is not None:
             rotating = np.r_[state.rotation.slots]
-            spins = np.searchsorted(slots, rotating), np.asarray(inertias(fluid, state))[:, None]
+            own = np.isin(rotating, slots)
+            inertia = np.asarray(inertias(fluid, state))[own, None]
+            spins = own, np.searchsorted(slots, rotating[own]), inertia
             same["moment_inertia"] = np.zeros((len(slots), 3), np.float32)
-            same["moment_inertia"][spins[0]] = spins[1]
+            same["moment_inertia"][spins[1]] = inertia
         return cls(slots, np.asarray(state.box.lengths, float), same, spins)
 
-    def frame(self, frame, frames, k: int, flow):
-        """A frame of a file, filled with the recorded one of number ``k``, in a box centred on the
-        origin."""
-        of = lambda name: np.array(frames.get(BEADS + name, frames.get(name))[k])
+    def frame(self, frame, frames, log, k: int, flow):
+        """A frame of a file, filled with the recorded one of number ``k`` and what is logged of it,
+        in a box centred on the origin."""
+        before = BEADS if BEADS + "position" in frames else ""
+        of = lambda name: np.array(frames[before + name][k])
         strain, rate = float(of("strain")), 0.0
         if flow is not None:
             rate = float(flow.rate_at(frames["time"][k]))
@@ -321,11 +345,12 @@ class Beads:
         for name, value in (self.same | moving).items():
             setattr(frame.particles, name, value)
         if self.spins is not None:
-            turned = (of(name).astype(float) for name in TURNING)
-            both = _orientation_and_momentum(*turned, *self.spins, len(self.slots))
+            own, places, inertia = self.spins
+            turned = (of(name).astype(float)[own] for name in TURNING)
+            both = _orientation_and_momentum(*turned, places, inertia, len(self.slots))
             frame.particles.orientation, frame.particles.angmom = both
-        always = {f"{OWN}strain": np.array([strain]), f"{OWN}rate": np.array([rate])}
-        frame.log = always | _logged(_to_log(frames, len(whole)), k)
+        always = {"strain": strain, "rate": rate, "time": frames["time"][k]}
+        frame.log = _logged(log, k) | {FILES + name: _as_log(x) for name, x in always.items()}
         return frame
 
 
@@ -361,6 +386,8 @@ def _as_log(value) -> np.ndarray:
     """A value as a log takes it: numbers, of one or two axes."""
     value = np.asarray(value)
     value = value.astype(np.uint8) if value.dtype == bool else value
+    if value.dtype.itemsize == 2 and value.dtype.kind not in "iu":  # half floats of either kind
+        value = value.astype(np.float32)
     return value.reshape(len(value), -1) if value.ndim > 2 else np.atleast_1d(value)
 
 

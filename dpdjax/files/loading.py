@@ -11,8 +11,8 @@ from dpdjax.engine.refusals import check_fluid
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
 from dpdjax.errors import FileError
-from dpdjax.files.frames import as_run
-from dpdjax.files.gsd import OWN, angular_velocity, reading
+from dpdjax.files.frames import as_run, told
+from dpdjax.files.gsd import angular_velocity, reading
 from dpdjax.model.beads import masses
 from dpdjax.model.fluid import Fluid
 from dpdjax.pairs import box as boxes
@@ -61,16 +61,9 @@ def load_gsd(
             found = file[frame]
         except (RuntimeError, OSError, KeyError) as error:
             raise FileError(f"frame {frame} of {path} cannot be read: {error}") from error
-        logged = lambda name, other: _logged(file, frame, name, other)
-        time, rate = logged("time", 0.0), logged("rate", None)
+        time, rate = told(file, frame, "time", 0.0), told(file, frame, "rate", None)
     rate = float(Flow.of(flow).rate_at(time)) if rate is None else rate
     return _state(fluid, found, rate, time, skin=skin, dt=dt, sheared=sheared)
-
-
-def _logged(file, frame: int, name: str, other):
-    chunk = f"log/{OWN}{name}"
-    there = file.file.chunk_exists(frame, chunk)
-    return float(file.file.read_chunk(frame, chunk)[0]) if there else other
 
 
 def _state(fluid, frame, rate, time, **lists) -> State:
@@ -87,7 +80,8 @@ def _state(fluid, frame, rate, time, **lists) -> State:
     species, counts = species[order], np.bincount(species, minlength=fluid.species)
     size = _sizes(fluid, beads.diameter[order], species)
     box = boxes.box(frame.configuration.box[:3])
-    box = boxes.Box(box.lengths, jnp.asarray(strain, box.lengths.dtype)).folded()[0]
+    box, periods = boxes.Box(box.lengths, jnp.asarray(strain, box.lengths.dtype)).folded()
+    image[:, 0] += int(periods) * image[:, 1]
     grids = plan_lists(fluid, box, counts, size=size, **lists)
     real = lambda x: jnp.asarray(x, box.lengths.dtype)
     state = assemble(

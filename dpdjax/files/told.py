@@ -4,61 +4,126 @@ import dataclasses
 import functools
 import hashlib
 import inspect
+import json
+import math
 import re
+import sysconfig
 import textwrap
+import types
 
 import jax
 import numpy as np
 
 LARGE = 64
 """Numbers of an array up to which they are written in full."""
+INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+PLAIN = (bool, int, str)
 
 
 def told(value):
-    """A value as what JSON holds: numbers in full, functions by name and source, classes by their
-    fields, large arrays by a hash."""
-    if value is None or isinstance(value, bool | int | str):
+    """A value as what JSON holds: numbers in full, large arrays by a hash, objects by their class
+    and what they hold, functions by their source and all that it refers to."""
+    return _told(value, frozenset())
+
+
+def _told(value, seen: frozenset):
+    if value is None or type(value) in PLAIN:
         return value
+    if id(value) in seen:
+        return "itself"
+    inside = functools.partial(_told, seen=seen | {id(value)})
+    if isinstance(value, types.ModuleType):
+        return value.__name__
     if isinstance(value, dict):
-        return {str(name): told(x) for name, x in value.items()}
+        return {str(name): inside(x) for name, x in value.items()}
     if isinstance(value, tuple | list):
-        return [told(x) for x in value]
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        parts = {f.name: told(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        return {"is": type(value).__qualname__} | parts
+        return [inside(x) for x in value]
+    if isinstance(value, set | frozenset):
+        return sorted(map(inside, value), key=json.dumps)
     if isinstance(value, functools.partial):
-        return {"is": told(value.func), "args": told(value.args), "numbers": told(value.keywords)}
-    if isinstance(value, type) or callable(value):
-        return _function(value)
-    return _array(value)
+        return {"is": inside(value.func), "args": inside(value.args), "n": inside(value.keywords)}
+    if isinstance(value, types.MethodType):
+        return {"is": inside(value.__func__), "self": inside(value.__self__)}
+    if isinstance(value, type):
+        return _class(value)
+    if inspect.isroutine(value) or hasattr(value, "__wrapped__"):
+        return _function(inspect.unwrap(value), inside)
+    if dataclasses.is_dataclass(value):
+        parts = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+        return {"is": _class(type(value))} | {name: inside(x) for name, x in parts.items()}
+    if isinstance(value, float | complex | np.ndarray | np.generic | jax.Array):
+        return _array(value)
+    return {"is": _class(type(value)), "holds": inside(dict(getattr(value, "__dict__", {})))} | (
+        {} if hasattr(value, "__dict__") else {"repr": re.sub(r" at 0x[0-9a-f]+", "", repr(value))}
+    )
 
 
 def _array(value):
     if isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
-        return {"key": np.asarray(jax.random.key_data(value)).tolist()}
+        data = np.asarray(jax.random.key_data(value)).tolist()
+        return {"key": data, "by": str(jax.random.key_impl(value))}
     array = np.asarray(value)
-    if array.dtype == object:
-        return re.sub(r" at 0x[0-9a-f]+", "", repr(value))
-    if array.size <= LARGE:
-        return array.tolist()
+    if array.size <= LARGE and array.dtype.kind in "biuf":
+        return _finite(array.tolist())
     digest = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:16]
     return {"shape": list(array.shape), "sha256": digest}
 
 
-def _function(value) -> str | dict:
-    """A function by its name; one that is not of this package by its source and what it closes
-    over too."""
-    value = inspect.unwrap(value)
+def _finite(numbers):
+    """Numbers, with words for those that JSON does not know."""
+    if isinstance(numbers, list):
+        return [_finite(x) for x in numbers]
+    is_odd = isinstance(numbers, float) and not math.isfinite(numbers)
+    return str(numbers) if is_odd else numbers
+
+
+def _class(cls: type):
+    """A class by its name; one of your own by its source too."""
+    name = f"{cls.__module__}.{cls.__qualname__}"
+    return name if _is_installed(cls) else {"name": name, "source": _source(cls)}
+
+
+def _function(value, inside):
+    """A function by its name; one of your own by its source, its defaults, and what of the world
+    around it it uses."""
     name = f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value))}"
-    inside = inspect.getclosurevars(value).nonlocals if inspect.isfunction(value) else {}
-    if name.startswith("dpdjax."):
-        return {"is": name} | told(inside) if inside else name
+    if not inspect.isfunction(value):
+        return name
+    around = inspect.getclosurevars(value)
+    if _is_installed(value):
+        return {"is": name, "of": inside(dict(around.nonlocals))} if around.nonlocals else name
+    defaults = [value.__defaults__, value.__kwdefaults__]
+    uses = dict(around.nonlocals) | dict(around.globals)
+    found = {"is": name, "source": _source(value), "defaults": inside(defaults)}
+    return found | {"uses": inside(uses)}
+
+
+def _is_installed(value) -> bool:
+    """Whether it is of this package, of Python or of another package, which have versions."""
+    if str(getattr(value, "__module__", "")).partition(".")[0] == "dpdjax":
+        return True
     try:
-        source = textwrap.dedent(inspect.getsource(value))
+        return inspect.getfile(value).startswith(INSTALLED)
+    except (TypeError, OSError):
+        return getattr(value, "__module__", None) == "builtins"
+
+
+def _source(value) -> str:
+    """A hash of a source; of the code where there is none, and of lambdas, of which a line may hold
+    several."""
+    code = getattr(value, "__code__", None)
+    try:
+        text = textwrap.dedent(inspect.getsource(value))
     except (OSError, TypeError):
-        source = repr(getattr(getattr(value, "__code__", None), "co_code", ""))
-    digest = hashlib.sha256(source.encode()).hexdigest()[:16]
-    return {"is": name, "source": digest} | told(inside)
+        text = ""
+    if code is not None and (not text or code.co_name == "<lambda>"):
+        text += _in_words(code)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _in_words(code: types.CodeType) -> str:
+    consts = [_in_words(c) if isinstance(c, types.CodeType) else repr(c) for c in code.co_consts]
+    return f"{code.co_code.hex()} {code.co_names} {consts}"
 
 
 def differences(before, now, name: str = "") -> list[str]:

@@ -1,6 +1,7 @@
 """What becomes of the frames of a run: kept in memory, or on disk as they come."""
 
 import contextlib
+import dataclasses
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,11 +11,15 @@ import numpy as np
 
 from dpdjax.errors import FileError
 from dpdjax.files import checkpoint as points
-from dpdjax.files.frames import StoredFrames
-from dpdjax.files.gsd import GSD, check_follows, gsd_writer, reading, writing
+from dpdjax.files.frames import StoredFrames, about
+from dpdjax.files.gsd import GSD, check_follows, derived, gsd_writer, reading, writing
 from dpdjax.files.locks import held
 from dpdjax.files.states import refuse_existing, replacing
+from dpdjax.files.told import differences
 from dpdjax.host.stream import Job, Piece
+
+BEGIN = "begin"
+"""Frames that a file held before a run, by which name its checkpoint remembers them."""
 
 
 class InMemory:
@@ -78,20 +83,20 @@ class OnDisk:
 def kept(job: Job, out: GSD | None, checkpoint: points.Checkpoint | None, say: Callable):
     """The job as it is to go on, and where its frames go; ``say`` is told what is done with files
     that are there."""
+    _check_kinds(job)
     with contextlib.ExitStack() as stack:
         saving = None
         if checkpoint is not None:
             checkpoint.make()
             stack.enter_context(held(checkpoint.lock))
-            name = None if out is None else os.path.basename(out.path)
-            saving = _Saving(checkpoint, job, name)
+            saving = _Saving(checkpoint, job, out)
             job = saving.job
             if job.done:
-                say(
-                    f"goes on from frame {job.done} of {job.plan.frames}, saved in "
-                    f"{os.fspath(checkpoint.folder)}"
-                )
+                where = os.fspath(checkpoint.folder)
+                say(f"goes on from frame {job.done} of {job.plan.frames}, saved in {where}")
         target = None if out is None else stack.enter_context(_opened(out, job, saving, say))
+        if saving is not None:
+            saving.begin(0 if target is None else target.begin)
         record = OnDisk(job, target, saving)
         try:
             yield job, record
@@ -99,23 +104,52 @@ def kept(job: Job, out: GSD | None, checkpoint: points.Checkpoint | None, say: C
             record.close()
 
 
+def _check_kinds(job: Job):
+    """Raise TypeError for what is recorded of a kind that files do not hold."""
+    state = jax.tree.map(lambda leaf: leaf[0], job.state) if job.key.ndim else job.state
+    fluid = job.system.member(0).fluid if job.key.ndim else job.system.fluid
+    for recorder in job.how:
+        for name, values in jax.eval_shape(recorder.now, fluid, state).items():
+            if np.dtype(values.dtype).kind not in "biuf":
+                raise TypeError(
+                    f"{name!r} is recorded as {values.dtype}, which files do not hold; record real "
+                    "numbers, of a complex one its .real and .imag"
+                )
+
+
 class _Saving:
     """A checkpoint and the run it is of, which begins where it was saved."""
 
-    def __init__(self, checkpoint: points.Checkpoint, job: Job, out: str | None):
+    def __init__(self, checkpoint: points.Checkpoint, job: Job, out: GSD | None):
         self.checkpoint, self.clock = checkpoint, points.Clock(checkpoint.seconds)
         self.axis = 1 if job.key.ndim else 0
-        system, state = job.system, job.state
-        self._made = points.made_by(system, state, job.key, job.plan, job.how)
-        self._start, self._name = points.start_of(state), out
+        self.made = points.made_by(job.system, job.state, job.key, job.plan, job.how)
+        self._start, self._out = points.start_of(job.state), None
+        if out is not None:
+            self._out = {"file": os.path.basename(out.path), "species": out.species}
         self.saved = checkpoint.load()
         self._pending: list[dict] = []
         if self.saved is not None:
-            points.check_same(self.saved, self._made, state, out, checkpoint.folder)
-            self._start = self.saved.start
+            self._start = self._check(self.saved, job)
             checkpoint.drop_later(self.saved.frames)
             job = job.resumed(self.saved.state, self.saved.frames, dict(self.saved.failed))
         self.job, self._done = job, job.done
+
+    def _check(self, saved: points.Saved, job: Job) -> list:
+        """Raise FileError unless the job is the one that was saved; the start of that."""
+        held_by = {k: v for k, v in (saved.out or {}).items() if k != BEGIN} or None
+        seen = dataclasses.replace(saved, out=held_by)
+        of = self.made, job.state, job.plan, self._out, self.checkpoint.folder
+        points.check_same(seen, *of)
+        return saved.start
+
+    def begin(self, frames: int):
+        """Save the run before it goes on, with the frames that its file held before it: one that is
+        killed at once begins again in the same file."""
+        if self._out is not None:
+            self._out[BEGIN] = frames
+        if self.saved is None or self.job.plan.frames > self.saved.planned:
+            self.save(Piece(self.job.state, {}, self.job.failed))
 
     def add(self, piece: Piece, keeps_frames: bool):
         """Take in a piece that is not yet saved."""
@@ -127,7 +161,8 @@ class _Saving:
         """Save the run as it is after a piece."""
         failed = [[int(k), why] for k, why in piece.failed.items()]
         state = jax.device_get(piece.state)
-        saved = points.Saved(state, self._done, failed, self._made, self._start, self._name)
+        planned = self.job.plan.frames
+        saved = points.Saved(state, self._done, failed, self.made, self._start, planned, self._out)
         with writing(self.checkpoint.folder):
             self.checkpoint.save(saved, self._pending, self.axis)
         self._pending = []
@@ -156,6 +191,7 @@ class _Out:
         if self._put is None:
             fluid, state = self._job.system.fluid, self._job.state
             kinds = {"species": self._target.species, "about": self._about}
+            kinds |= {"untold": derived(self._job.how)}
             opened = gsd_writer(self.path, fluid, state, self._mode, **kinds)
             self._put = self._stack.enter_context(opened)
             if self._mode != "r+":
@@ -172,28 +208,24 @@ def _opened(target: GSD, job: Job, saving: _Saving | None, say: Callable):
             "its members by dpd.write_gsd"
         )
     with contextlib.ExitStack() as stack:
-        resumed = saving is not None and saving.saved is not None and job.done > 0
-        begin = _resume(target, job, say) if resumed else _begin(target, job, saving)
-        mode = "r+" if resumed or begin else "w"
+        resumed = saving is not None and saving.saved is not None
+        begin = _resume(target, saving, say) if resumed else _begin(target, job)
+        mode = "r+" if begin or job.done else "w"
         if mode == "r+":
             stack.enter_context(held(target.path))
         made = points.made_by(job.system, job.state, job.key, job.plan, job.how)
-        about = {"version": made["version"], "every": job.plan.every, "made": made}
-        about |= target.about
-        yield _Out(target, mode, job, begin, about, stack)
+        told = target.about | {"version": made["version"], "every": job.plan.every, "made": made}
+        yield _Out(target, mode, job, begin, None if job.done else told, stack)
 
 
-def _begin(target: GSD, job: Job, saving) -> int:
+def _begin(target: GSD, job: Job) -> int:
     """Frames in the file of a run that begins, to be gone on with."""
     folder, exists = os.path.dirname(target.path) or ".", os.path.exists(target.path)
     if not os.path.isdir(folder):
         raise FileError(f"out is {os.fspath(target.path)!r}, and there is no folder {folder}")
     if target.mode == "x":
-        again = " It was begun by a run that had not been saved." if saving is not None else ""
-        refuse_existing(
-            target.path,
-            'out=dpd.GSD(..., mode="w") to replace it, mode="a" to go on with it' + again,
-        )
+        cure = 'out=dpd.GSD(..., mode="w") to replace it, mode="a" to go on with it'
+        refuse_existing(target.path, cure)
     if target.mode == "a" and exists:
         with held(target.path):
             check_follows(target.path, job.system.fluid, job.state, target.species)
@@ -205,28 +237,38 @@ def _begin(target: GSD, job: Job, saving) -> int:
     return 0
 
 
-def _resume(target: GSD, job: Job, say: Callable) -> int:
+def _resume(target: GSD, saving: _Saving, say: Callable) -> int:
     """Leave of a file the frames that were saved with the run; those that were there before it."""
+    saved, begin = saving.saved, saving.saved.out[BEGIN]
+    count = begin + saved.frames
     if not os.path.exists(target.path):
-        raise FileError(
-            f"{target.path} is gone, and the checkpoint of its run is there: bring it back, or "
-            "begin anew with another folder as checkpoint"
-        )
+        if count:
+            raise FileError(
+                f"{target.path} is gone, and the checkpoint of its run is there: bring it back, or "
+                "begin anew with another folder as checkpoint"
+            )
+        return 0
     with held(target.path):
         with reading(target.path) as file:
-            there = len(file)
-            steps = [file.file.read_chunk(k, "log/dpdjax/step")[0] for k in range(there)]
-        count = sum(step <= int(job.state.step) for step in steps)
-        begun_before = count - job.done
-        if begun_before < 0:
+            there, wrote = len(file), about(file, begin).get("made", {})
+        if there < count:
             raise FileError(
-                f"{target.path} holds {count} frames up to step {int(job.state.step)} and its "
-                f"checkpoint {job.done}: bring the file back, or begin anew"
+                f"{target.path} holds {there} frames and its checkpoint is at frame {count}: bring "
+                "the file back, or begin anew"
+            )
+        both = ({k: v for k, v in m.items() if k != points.PLANNED} for m in (wrote, saving.made))
+        other = differences(*both) if there > begin else []
+        if other:
+            raise FileError(f"{target.path} is of another run than its checkpoint: {other[0]}")
+        if there > count and saved.is_finished:
+            raise FileError(
+                f"{target.path} was gone on with by another run, after frame {count}: give that "
+                "run's state and plan, or another file"
             )
         if there > count:
             say(f"{target.path}: {there - count} frames after the last checkpoint are dropped")
             trim(target.path, count)
-    return begun_before
+    return begin
 
 
 def trim(path, count: int) -> None:
@@ -260,7 +302,13 @@ class _Background:
         self._running: Future | None = self._pool.submit(work, *arguments)
 
     def wait(self):
-        """Wait for what was begun; raises what it raised."""
-        running, self._running = self._running, None
-        if running is not None:
-            running.result()
+        """Wait for what was begun; raises what it raised. Interrupted, it is waited for again."""
+        try:
+            if self._running is not None:
+                self._running.result()
+        except KeyboardInterrupt:
+            raise
+        except BaseException:
+            self._running = None
+            raise
+        self._running = None

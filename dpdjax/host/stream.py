@@ -139,7 +139,7 @@ class Job:
             after, frames = replayed(system, state, key, part, self.how, shape, compiling)
             lost = after.status
             if key.ndim:
-                after, frames = without_failed(state, after, frames)
+                after, frames = without_failed(state, after, frames, failed)
             last = int(np.max(state.step))
             when = f"stopped between steps {last} and {last + part.steps}"
             failed = _failed(failed, lost, system, when)

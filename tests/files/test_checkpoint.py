@@ -103,6 +103,8 @@ def test_uneven_frames(run, tmp_path):
     later = dpd.Plan.at([*plan.schedule, 90, 100])
     assert same_bits(run(later, out=out).final, run(later, checkpoint=None).final)
     with pytest.raises(dpd.FileError, match="plan: frames at .* then, at .* now"):
+        run(dpd.Plan.at([*range(1, 30), 60]), out=out)
+    with pytest.raises(dpd.FileError, match="plan: 11 frames were done, and it has 3 now"):
         run(dpd.Plan.at([1, 2, 60]), out=out)
 
 
@@ -125,6 +127,7 @@ def test_another_run_is_told_by_what_differs(run, water, fresh, key, tmp_path):
     of_function = dpd.fluid(
         [dpd.term(stretched, a=25.0, reach=1.0)], list(water.interactions[0].drag), kT=1.0
     )
+    faster = dataclasses.replace(fresh, velocity=3 * fresh.velocity)
     turned = dataclasses.replace(fresh, position=fresh.position[::-1])
     for how, told in (
         ({"fluid": water.set(gamma=5.0)}, "gamma: 4.5 then, 5.0 now"),
@@ -136,8 +139,9 @@ def test_another_run_is_told_by_what_differs(run, water, fresh, key, tmp_path):
         ({"plan": dpd.Plan(12, 4)}, "plan: frames at 5 then, at 4 now"),
         ({"observe": dpd.observe.temperature}, "observe"),
         ({"integrator": dpd.integrators.ImplicitDrag()}, "integrator"),
-        ({"out": tmp_path / "run.gsd"}, "out: None then, run.gsd now"),
-        ({"state": turned}, "beads are elsewhere"),
+        ({"out": tmp_path / "run.gsd"}, "out.file: None then, run.gsd now"),
+        ({"state": turned}, "it began with other places of its beads"),
+        ({"state": faster}, "it began with other velocities of its beads"),
         ({"state": other}, "beads"),
     ):
         with pytest.raises(dpd.FileError, match=f"of another run: .*{told}.*or another folder"):
@@ -184,7 +188,7 @@ def test_damaged_files(run, tmp_path):
     with pytest.raises(dpd.FileError, match="run.gsd is gone"):
         run(out=out)
     run(dpd.Plan(2, 5), checkpoint=None, out=out)
-    with pytest.raises(dpd.FileError, match="holds 2 frames up to step 60 and its checkpoint 12"):
+    with pytest.raises(dpd.FileError, match="holds 2 frames and its checkpoint is at frame 12"):
         run(out=out)
     out.write_bytes(before)
     assert run(out=out).complete
@@ -288,3 +292,87 @@ def test_a_full_disk(tmp_path):
     assert there == list(range(2, 2 * len(there) + 1, 2)) and len(there) >= 10
     assert python("go(sys.argv[1], 60)", tmp_path).wait(200) == 0
     assert steps_of(tmp_path / "run.gsd") == list(range(2, 121, 2))
+
+
+def test_killed_before_the_first_saving(run, tmp_path):
+    """What a run had begun to write is its own."""
+    out = tmp_path / "run.gsd"
+    seldom = dpd.Checkpoint(tmp_path / "saved", 1e9)
+
+    def killed(piece):
+        raise SystemError
+
+    with pytest.raises(SystemError):
+        run(out=out, checkpoint=seldom, callback=killed)
+    (tmp_path / "saved" / "frames-0000000004.npz.part").touch()
+    assert run(out=out, checkpoint=seldom).complete and steps_of(out) == list(range(5, 61, 5))
+
+
+def test_a_file_that_another_run_went_on_with(run, tmp_path):
+    """It is neither cut nor taken for that of its checkpoint."""
+    out = tmp_path / "run.gsd"
+    first = run(dpd.Plan(6, 5), out=out)
+    more = dpd.GSD(out, "a")
+    second = run(dpd.Plan(6, 5), state=first.final, out=more, checkpoint=tmp_path / "second")
+    assert second.frames["step"].tolist() == list(range(35, 61, 5))
+    with pytest.raises(dpd.FileError, match="was gone on with by another run, after frame 6"):
+        run(dpd.Plan(6, 5), out=out)
+    again = run(dpd.Plan(8, 5), state=first.final, out=more, checkpoint=tmp_path / "second")
+    assert again.complete and steps_of(out) == list(range(5, 71, 5))
+    with pytest.raises(dpd.FileError, match="no longer the file that these frames"):
+        run(dpd.Plan(6, 5), checkpoint=None, out=dpd.GSD(out, "w"))
+        np.asarray(first.frames["temperature"])
+
+
+def test_a_file_of_another_run(run, tmp_path):
+    run(dpd.Plan(6, 5), out=tmp_path / "run.gsd")
+    other = tmp_path / "other"
+    other.mkdir()
+    run(dpd.Plan(6, 5), key=jax.random.key(5), out=other / "run.gsd", checkpoint=None)
+    (tmp_path / "run.gsd").write_bytes((other / "run.gsd").read_bytes())
+    with pytest.raises(dpd.FileError, match="is of another run than its checkpoint: key"):
+        run(dpd.Plan(8, 5), out=tmp_path / "run.gsd")
+    with pytest.raises(dpd.FileError, match="out.species: None then, 0 now"):
+        run(dpd.Plan(8, 5), out=dpd.GSD(tmp_path / "run.gsd", species=0))
+
+
+def test_everything_that_is_observed_comes_back(water, fresh, key, tmp_path):
+    """Under any name, of any shape and kind."""
+
+    def odd(fluid, state):
+        return {
+            "rate": 2.0 * state.time,
+            "velocity": 2.0 * state.velocity,
+            "orientation": state.position[0],
+            "up": state.position[:, 1] > 1.75,
+            "file": state.step,
+            "many": jnp.ones((2, 3, 4, 5)) * state.time,
+            "small": state.position[:2, 0].astype(jnp.float16),
+        }
+
+    observe = [odd, dpd.mean(lambda fluid, state: {"position": state.position})]
+    go = lambda **how: dpd.run(
+        water, fresh, key, DT, dpd.Plan(4, 2), FLOW, observe=observe, progress=False, **how
+    )
+    memory, file = go(), go(out=tmp_path / "odd.gsd")
+    saved = go(checkpoint=tmp_path / "odd")
+    for name, values in memory.frames.items():
+        for other in (file, saved):
+            assert other.frames[name].dtype == values.dtype, name
+            np.testing.assert_array_equal(other.frames[name], values, name)
+    np.testing.assert_allclose(
+        dpd.load_gsd(tmp_path / "odd.gsd", fluid=water).velocity, memory.final.velocity, atol=1e-5
+    )
+    with pytest.raises(TypeError, match="'z' is recorded as complex.*, which files do not hold"):
+        dpd.run(
+            water, fresh, key, DT, PLAN, out=tmp_path / "z.gsd", progress=False,
+            observe=lambda fluid, state: {"z": state.time * 1j},
+        )  # fmt: skip
+
+
+def test_a_failed_member_stays_failed(run, key):
+    """It was run again at each piece, and a shorter last one could survive."""
+    keys, flow = jax.random.split(key, 2), dpd.shear(jnp.array([0.3, 60.0]))
+    ran = run(dpd.Plan(7, 5), key=keys, flow=flow, checkpoint=None)
+    lost = np.isnan(ran.frames["temperature"][1])
+    assert ran.failed and lost.any() and np.all(lost[np.argmax(lost) :])
