@@ -31,6 +31,12 @@ FRAMES = 400
 """Frames of a run that is averaged over."""
 
 
+def _planned(steps: float) -> Plan:
+    """So many steps, in at most twice ``FRAMES`` frames."""
+    every = max(1, int(steps / FRAMES))
+    return Plan(max(1, round(steps / every)), every)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _OfFluid:
     """A box of a fluid: settled, then measured.
@@ -72,9 +78,9 @@ class _OfFluid:
         rest = yield Run(fluid, state, key, dt, Plan(10, every), integrator=how)
         return fluid, rest.final, dt, how
 
-    def plan(self, dt: float, frames: int = FRAMES) -> Plan:
+    def plan(self, dt: float) -> Plan:
         """Of the run that is measured."""
-        return Plan(frames, max(1, round(self.time / dt / frames)))
+        return _planned(self.time / dt)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -208,7 +214,7 @@ class SuspensionViscosity(_OfSuspension):
     def __call__(self, key: jax.Array, **point):
         """Ask for the runs at a point."""
         made, state, own = yield from self.settled(key, point, sheared=True)
-        plan = Plan(FRAMES, max(1, round(own.times * made.steps_per_tau / FRAMES)))
+        plan = _planned(own.times * made.steps_per_tau)
         ran = yield Run(
             made.fluid, state, key, made.dt, plan, shear(own.rate),
             observe=shear_record, integrator=made.integrator,

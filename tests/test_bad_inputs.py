@@ -182,7 +182,8 @@ def calls(fresh):
     }
 
 
-CASES = """term of repulsion, term of drag, term of law, fluid, set, colloid_fluid, initial_state, Plan,
+CASES = """term of repulsion, term of drag, term of law, fluid, set, colloid_fluid, initial_state,
+Plan,
 Plan.at, Plan.logarithmic, shear, oscillatory_shear, drive, sinusoidal_force, run, suggest_dt,
 shear_viscosity, mean_squared_displacement, radial_distribution, block_average, scan, load_state,
 load_gsd, water_units"""

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 
 import dpdjax as dpd
+from dpdjax.checks import whole
 from dpdjax.configs.reading import Section, function_named, keywords
 from dpdjax.engine.choice import suited
 from dpdjax.errors import ConfigError
@@ -161,14 +162,30 @@ def plan_of(section: Section, made: Made):
     if "every" in section.values:
         section.one_of("frames", "every")
         every = section.need("every", int)
-        return section.guarded(lambda: dpd.Plan(max(1, steps // every), every))
-    frames = min(section.get("frames", int, 100), steps)
-    return section.guarded(lambda: dpd.Plan(frames, max(1, round(steps / frames))))
+        if every > steps:
+            raise ConfigError(f"{section.where} has every = {every}, more than its {steps} steps")
+    else:
+        frames = section.guarded(lambda: whole(section.get("frames", int, 100), "frames"))
+        every = max(1, round(steps / frames))
+    # As many frames as make the length that was asked for.
+    return section.guarded(lambda: dpd.Plan(max(1, round(steps / whole(every, "every"))), every))
 
 
 def observe_of(section: Section) -> list:
-    """What is recorded: the standard record, and by name others of ``dpd.observe`` or means."""
-    known = [n for n in dpd.observe.__all__ if n not in ("integral", "mean", "Recorder")]
-    values = [getattr(dpd.observe, name) for name in section.names("observe", known)]
-    means = [dpd.mean(getattr(dpd.observe, name)) for name in section.names("mean", known)]
-    return [dpd.observe.standard, *values, *means]
+    """What is recorded: by name of ``dpd.observe`` values, the standard record by default, and
+    means."""
+    of = lambda name: getattr(dpd.observe, name)
+    plain = [name for name in dpd.observe.__all__ if _observes(of(name))]
+    records = [name for name in dpd.observe.__all__ if isinstance(of(name), dpd.observe.Recorder)]
+    names = (
+        section.names("observe", plain + records) if "observe" in section.values else ["standard"]
+    )
+    return [*map(of, names), *(dpd.mean(of(name)) for name in section.names("mean", plain))]
+
+
+def _observes(value) -> bool:
+    """Whether it is an observable, a function of a fluid and a state."""
+    return inspect.isfunction(value) and [*inspect.signature(value).parameters][:2] == [
+        "fluid",
+        "state",
+    ]

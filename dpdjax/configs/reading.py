@@ -3,6 +3,7 @@
 import difflib
 import importlib
 import inspect
+import math
 import os
 import sys
 import tomllib
@@ -61,6 +62,8 @@ class Section:
     def get(self, name: str, kinds: type | tuple, default=None):
         """A value of these kinds; a whole number will do for a real one."""
         value = self.values.get(name, default)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{self.where} has {name} = {value}; a finite number is wanted")
         kinds = kinds if isinstance(kinds, tuple) else (kinds,)
         kinds += (int,) if float in kinds else ()
         is_odd = isinstance(value, bool) and bool not in kinds
@@ -117,7 +120,13 @@ def keywords(function: Callable) -> list[str]:
 
 
 def load(path: str | os.PathLike) -> tuple[Section, str]:
-    """A TOML file as a section, and its text; ConfigError for what is none."""
+    """A TOML file as a section, and its text; modules beside it can be imported from now on.
+
+    Raises ConfigError for what is none.
+    """
+    beside = os.path.dirname(os.path.abspath(path))
+    if beside not in sys.path:
+        sys.path.insert(0, beside)
     try:
         with open(path, encoding="utf-8") as file:
             text = file.read()
@@ -137,8 +146,6 @@ def function_named(name: str, where: str, homes: Iterable[Any]) -> Any:
 
 
 def _imported(module: str, name: str, where: str):
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
     try:
         return getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:

@@ -35,14 +35,19 @@ def run_file(
     Frames go to a GSD file, and what a stopped run goes on from into a folder beside it. Raises
     ConfigError for a file that is not right, and as :func:`dpdjax.run` does.
     """
-    began = time.monotonic()
     file, text = load(path)
     file.only(*KINDS, *TOP)
-    _set_precision(file)
+    with _precision(file):
+        return _run(file, text, path, out, hours, resume, report, progress)
+
+
+def _run(file: Section, text: str, path, out, hours, resume: bool, report, progress: bool):
+    began = time.monotonic()
     key = jax.random.key(file.get("seed", int, 0))
     output = file.table("output").only(*OUTPUT)
-    target = Path(out or output.get("gsd", str) or Path(path).with_suffix(".gsd"))
-    folder = Path(output.get("checkpoint", str) or target.with_suffix(".checkpoint"))
+    target = Path(out or output.get("gsd", str) or f"{Path(path).stem}.gsd")
+    given = None if out else output.get("checkpoint", str)
+    folder = Path(given or target.with_suffix(".checkpoint"))
     if not resume:
         _refuse_old(target, folder)
     observe, flow = observe_of(output), flow_of(file.table("flow"))
@@ -67,9 +72,9 @@ def run_file(
     return _came_to(ran, made, plan, elapsed, target, began), ran.complete
 
 
-def _set_precision(file: Section):
-    if file.get("float64", bool, False):
-        jax.config.update("jax_enable_x64", True)
+def _precision(file: Section):
+    """That of the file, or else what is set, until the end."""
+    return jax.enable_x64(file.get("float64", bool, bool(jax.config.jax_enable_x64)))
 
 
 def _refuse_old(target: Path, folder: Path):
@@ -121,10 +126,14 @@ def scan_file(
     """
     file, text = load(path)
     file.only("seed", "float64", "fluid", "scan")
-    _set_precision(file)
+    with _precision(file):
+        return _scan(file, text, path, out, hours, shard, workers, progress)
+
+
+def _scan(file: Section, text: str, path, out, hours, shard, workers, progress: bool):
     section = file.table("scan").only("experiment", "settings", "grid", "replicas", "store")
     experiment = _experiment(section, file)
-    store = Path(out or section.get("store", str) or Path(path).with_suffix(".nc"))
+    store = Path(out or section.get("store", str) or f"{Path(path).stem}.nc")
     if shard is not None:
         store = store.with_name(f"{store.stem}-{shard[0]}of{shard[1]}{store.suffix}")
     key = jax.random.key(file.get("seed", int, 0))

@@ -1,6 +1,7 @@
 """Compiled programs, and what they cost to be made."""
 
 import functools
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -15,15 +16,18 @@ ANEW = 3
 
 _made: list[tuple[float, float]] = []
 _programs: dict = {}
+_making: dict = {}
+_listening = threading.Lock()
 
 
 def _listen(event: str, seconds: float, **_):
     if not event.startswith(MAKING):
         return
     start = time.monotonic() - seconds
-    while _made and _made[-1][0] >= start:
-        _made.pop()
-    _made.append((start, seconds))
+    with _listening:
+        while _made and _made[-1][0] >= start:
+            _made.pop()
+        _made.append((start, seconds))
 
 
 jax.monitoring.register_event_duration_secs_listener(_listen)
@@ -70,9 +74,12 @@ def program(
     key = function, tree, tuple(map(_kind, leaves)), own, settings
     others = _programs.setdefault(key, {})
     if functions not in others:
-        _warn_of_twins(functions, others)
-        making()
-        others[functions] = function.lower(*arguments, **static).compile()
+        # Several threads may want it: one makes it, those that want another are not kept waiting.
+        with _making.setdefault((key, functions), threading.Lock()):
+            if functions not in others:
+                _warn_of_twins(functions, others)
+                making()
+                others[functions] = function.lower(*arguments, **static).compile()
     return others[functions]
 
 

@@ -14,10 +14,11 @@ class Stop:
     Attributes:
         why: in words; empty while it is to go on.
         is_terminated: whether SIGTERM asked for it.
+        is_interrupted: whether what was being done was broken off.
     """
 
     def __init__(self, hours: float | None):
-        self.why, self.is_terminated = "", False
+        self.why, self.is_terminated, self.is_interrupted = "", False, False
         hours = None if hours is None else plain(hours, "hours", positive)
         self._hours, self._began = hours, time.monotonic()
         self._last, self._longest = self._began, 0.0
@@ -25,17 +26,25 @@ class Stop:
     def ask(self, number: int, _frame=None):
         """Ask for it by a signal; a second Ctrl-C interrupts at once."""
         if self.why and number == signal.SIGINT:
+            self.is_interrupted = True
             raise KeyboardInterrupt
         self.why = signal.Signals(number).name
         self.is_terminated |= number == signal.SIGTERM
+
+    def is_over(self) -> bool:
+        """Whether it was asked for, or the hours are over."""
+        return self._ends_by(time.monotonic())
 
     def is_due(self) -> bool:
         """To be asked after each piece: whether there is no time for another as long as the longest
         so far."""
         now = time.monotonic()
         self._longest, self._last = max(self._longest, now - self._last), now
+        return self._ends_by(now + self._longest)
+
+    def _ends_by(self, moment: float) -> bool:
         if not self.why and self._hours is not None:
-            if now - self._began + self._longest > self._hours * 3600:
+            if moment - self._began > self._hours * 3600:
                 self.why = f"{self._hours:g} hours"
         return bool(self.why)
 
@@ -52,4 +61,5 @@ def stopping(hours: float | None, signals: bool):
         yield stop
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            # Of a handler that is none of Python's nothing is known.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)

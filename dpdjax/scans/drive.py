@@ -49,11 +49,14 @@ class Run:
         return self.state.n * self.plan.steps
 
     def alone(self, callback: Callable | None = None) -> Trajectory:
-        """Run it."""
-        return run(
+        """Run it; Cancelled where it was broken off, which is no run to be measured."""
+        trajectory = run(
             self.fluid, self.state, self.key, self.dt, self.plan, self.flow,
             observe=self.observe, integrator=self.integrator, callback=callback, progress=False,
         )  # fmt: skip
+        if not trajectory.complete:
+            raise Cancelled
+        return trajectory
 
 
 @dataclasses.dataclass
@@ -89,12 +92,20 @@ def driven(experiment: Callable, key, point: dict, is_over: Callable = lambda: F
         asked = _Asking(experiment, key, point)
         while asked.wanted is not None:
             outcome.particle_steps += asked.wanted.particle_steps
-            asked.give(asked.wanted.alone(give_up_when_over))
+            asked.give(_attempted(asked.wanted, give_up_when_over))
         outcome.values = asked.values
     except FAILURES as error:
         outcome.reason = str(error) or type(error).__name__
     outcome.seconds = time.monotonic() - began
     return outcome
+
+
+def _attempted(one: Run, callback: Callable):
+    """The trajectory of a run, or the error it ended by."""
+    try:
+        return one.alone(callback)
+    except FAILURES as error:
+        return error
 
 
 def driven_together(experiment: Callable, keys: Sequence, points: Sequence[dict]) -> list[Outcome]:
@@ -146,12 +157,12 @@ class _Asking:
             self.values = _estimates(self._work)
 
     def give(self, trajectory):
-        """Go on with a run, or with the error that it ended by."""
+        """Go on with a run, or with the error that it ended by, which the experiment may catch."""
         self.wanted = None
-        if isinstance(trajectory, Exception):
-            raise trajectory
+        is_error = isinstance(trajectory, Exception)
+        go_on = self._work.throw if is_error else self._work.send
         try:
-            self.wanted = self._work.send(trajectory)
+            self.wanted = go_on(trajectory)
         except StopIteration as end:
             self.values = _estimates(end.value)
             return

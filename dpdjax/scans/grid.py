@@ -13,6 +13,10 @@ import numpy as np
 
 from dpdjax.checks import prng_key
 
+REPLICA, ERROR, EACH = "replica", "_error", "_each"
+TAKEN = (REPLICA, "status", "reason", "particle_steps", "seconds")
+ENDINGS = (ERROR, EACH)
+"""Names, and ends of names, of the columns of a table."""
 Unit = tuple[tuple[int, ...], int]
 """A replica of a point: the place of the point along each axis, and its number."""
 
@@ -36,6 +40,11 @@ class Grid:
             raise TypeError(f"grid is {grid!r}; give values by name, such as {{'gamma': [4.5, 9]}}")
         if isinstance(replicas, bool) or not isinstance(replicas, int) or replicas < 1:
             raise ValueError(f"replicas is {replicas!r}; it must be a whole number of at least 1")
+        for name in grid:
+            if name in TAKEN or name.endswith(ENDINGS):
+                raise ValueError(
+                    f"an axis of the grid is called {name!r}, a name of the table: give another"
+                )
         return cls({name: _values(name, values) for name, values in grid.items()}, replicas)
 
     @property
@@ -56,9 +65,13 @@ class Grid:
         """The key of a replica, by the values of its point: it stays what it is when the grid
         grows, or its axes are given in another order."""
         place, replica = unit
-        text = json.dumps(self.point(place), sort_keys=True)
-        word = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-        return jax.random.fold_in(jax.random.fold_in(prng_key(key), np.uint32(word)), replica)
+        # A whole number is what it is as a real one.
+        values = {k: x if isinstance(x, str) else float(x) for k, x in self.point(place).items()}
+        digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).digest()
+        key = prng_key(key)
+        for word in np.frombuffer(digest[:16], np.uint32):
+            key = jax.random.fold_in(key, word)
+        return jax.random.fold_in(key, replica)
 
     def named(self, unit: Unit) -> str:
         """A replica in words."""
@@ -80,6 +93,8 @@ def _values(name: str, values) -> tuple:
     for value in plain:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise TypeError(f"the axis {name} of the grid has {value!r}; give numbers or words")
+        if isinstance(value, str) and "\0" in value:
+            raise ValueError(f"the axis {name} of the grid has {value!r}; give words without NUL")
     if any(isinstance(value, float) for value in plain):
         plain = [float(value) for value in plain]
         if not np.all(np.isfinite(plain)):

@@ -2,8 +2,10 @@
 
 import concurrent.futures as futures
 import contextlib
+import dataclasses
 import itertools
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -15,13 +17,15 @@ from dpdjax.checks import prng_key, whole
 from dpdjax.engine.members import cores
 from dpdjax.errors import RunError
 from dpdjax.files.told import told
-from dpdjax.host.stops import stopping
+from dpdjax.host.stops import Stop, stopping
 from dpdjax.scans.drive import Cancelled, Outcome, driven, driven_together
 from dpdjax.scans.grid import Grid, Unit
 from dpdjax.scans.progress import Progress
 from dpdjax.scans.table import Store, Table, told_failures, xarray_module
 from dpdjax.xla import on_cpu
 
+WAKE = 0.5
+"""Seconds between two looks at whether the scan is to end."""
 AT_ONCE = 256
 """Experiments that are under way together on an accelerator."""
 
@@ -36,6 +40,7 @@ def scan(
     executor: futures.Executor | None = None,
     shard: tuple[int, int] | None = None,
     hours: float | None = None,
+    retry: bool = False,
     about: Mapping[str, str] | None = None,
     progress: bool = True,
 ):
@@ -68,6 +73,7 @@ def scan(
             :func:`dpdjax.merge_scans` makes one table of them.
         hours: of wall time after which the scan ends; Ctrl-C and SIGTERM end it too, with all that
             is done in the store.
+        retry: do again what failed.
         about: texts that the table is to hold as attributes.
 
     Returns an ``xarray.Dataset``: of each number the mean and its standard error (``..._error``),
@@ -80,34 +86,41 @@ def scan(
         raise TypeError(f"experiment is {experiment!r}; give a function experiment(key, **point)")
     grid = Grid.of(grid, replicas)
     made = {"experiment": told(experiment), "key": told(prng_key(key))} | _settings()
-    table = Table(grid, made, dict(about or {}))
-    units = _shard(grid.units(), shard)
+    table = Table(grid, made, _texts(about or {}))
     saved = Store(store)
-    saved.begin(table)
-    open_ones = set(table.left())
-    units = [unit for unit in units if unit in open_ones]
-    with stopping(hours, True) as stop, Progress(len(units), progress) as line:
-        doing = (
-            _elsewhere(executor, experiment, grid, key, units)
-            if executor
-            else _here(experiment, grid, key, units, stop)
-        )
-        try:
-            with contextlib.closing(doing):
+    with saved.held(), stopping(hours, True) as stop:
+        saved.begin(table)
+        if retry:
+            table.forget_failures()
+        left = set(table.left())
+        units = [unit for unit in _shard(grid.units(), shard) if unit in left]
+        do = _Doing(experiment, grid, key, units, stop)
+        doing = do.elsewhere(executor) if executor else do.here()
+        with contextlib.closing(doing), Progress(len(units), progress) as line:
+            try:
                 for unit, outcome in doing:
+                    if stop.is_interrupted:
+                        break
                     table.put(unit, outcome)
                     saved.save(table)
                     line.advance(outcome)
-                    if stop.is_due():
-                        break
-        finally:
-            saved.save(table, now=True)
-        if stop.why and table.left():
-            line.say(f"ended by {stop.why}: the same call does what is missing")
+            except (Cancelled, KeyboardInterrupt):
+                pass
+            finally:
+                saved.save(table, now=True)
+            if stop.why and table.left():
+                line.say(f"ended by {stop.why}: the same call does what is missing")
     if stop.is_terminated:
         raise dpdjax.Stopped
     told_failures(table)
     return table.dataset()
+
+
+def _texts(about: Mapping[str, str]) -> dict[str, str]:
+    for name, text in about.items():
+        if not isinstance(text, str) or name in ("dpdjax", "made_by"):
+            raise TypeError(f"about has {name} = {text!r}; give texts, not under dpdjax or made_by")
+    return dict(about)
 
 
 def _settings() -> dict:
@@ -119,77 +132,116 @@ def _shard(units: list[Unit], shard) -> list[Unit]:
     if shard is None:
         return units
     is_pair = isinstance(shard, tuple | list) and len(shard) == 2
-    i, n = (whole(x, "shard") for x in shard) if is_pair else (0, 0)
+    i, n = (whole(x, "shard", least=0) for x in shard) if is_pair else (0, 0)
     if not 1 <= i <= n:
         raise ValueError(f"shard is {shard}; give (i, n) with i from 1 to n")
     return units[i - 1 :: n]
 
 
-def _here(experiment, grid: Grid, key, units, stop) -> Iterator[tuple[Unit, Outcome]]:
-    """Replicas and what they came to, as they end, in this process."""
-    if on_cpu():
-        yield from _on_cores(experiment, grid, key, units, stop)
-        return
-    for begin in range(0, len(units), AT_ONCE):
-        some = units[begin : begin + AT_ONCE]
-        keys = [grid.key_of(key, unit) for unit in some]
-        points = [grid.point(place) for place, _ in some]
-        yield from zip(some, driven_together(experiment, keys, points))
+@dataclasses.dataclass
+class _Doing:
+    """Replicas that are to be done; both ways of doing them give each and what it came to, as they
+    end, until ``stop`` is over."""
+
+    experiment: Callable
+    grid: Grid
+    key: jax.Array
+    units: list[Unit]
+    stop: Stop
+
+    def here(self) -> Iterator[tuple[Unit, Outcome]]:
+        """In this process."""
+        return self._on_cores() if on_cpu() else self._side_by_side()
+
+    def _side_by_side(self):
+        for begin in range(0, len(self.units), AT_ONCE):
+            if self.stop.is_over():
+                return
+            some = self.units[begin : begin + AT_ONCE]
+            keys = [self.grid.key_of(self.key, unit) for unit in some]
+            points = [self.grid.point(place) for place, _ in some]
+            yield from zip(some, driven_together(self.experiment, keys, points))
+
+    def _on_cores(self):
+        """Each on a core of its own."""
+        waiting, pool = iter(self.units), futures.ThreadPoolExecutor(cores())
+        over, settings = threading.Event(), _Settings.of_caller()
+        is_over = lambda: over.is_set() or self.stop.is_over()
+
+        def one(unit):
+            with settings.entered():
+                key, point = self.grid.key_of(self.key, unit), self.grid.point(unit[0])
+                return driven(self.experiment, key, point, is_over)
+
+        try:
+            begin = lambda some: {pool.submit(one, unit): unit for unit in some}
+            running = begin(itertools.islice(waiting, cores()))
+            while running:
+                # Now and then the main thread must wake, or it hears no signal.
+                for future in futures.wait(running, WAKE, futures.FIRST_COMPLETED).done:
+                    unit = running.pop(future)
+                    if not is_over():
+                        running |= begin(itertools.islice(waiting, 1))
+                    with contextlib.suppress(Cancelled):
+                        yield unit, future.result()
+        finally:
+            over.set()
+            pool.shutdown(cancel_futures=True)
+
+    def elsewhere(self, executor):
+        """By the workers of an executor."""
+        settings = _Settings.of_caller()
+
+        def submitted(unit):
+            key = self.grid.key_of(self.key, unit)
+            told_key = np.asarray(jax.random.key_data(key)), str(jax.random.key_impl(key))
+            point = self.grid.point(unit[0])
+            return executor.submit(_remote, self.experiment, told_key, point, settings)
+
+        pending = {submitted(unit): unit for unit in self.units}
+        try:
+            while pending and not self.stop.is_over():
+                for future in futures.wait(pending, WAKE, futures.FIRST_COMPLETED).done:
+                    yield pending.pop(future), self._result(future, len(pending))
+            for future in [future for future in pending if future.done()]:
+                yield pending.pop(future), self._result(future, len(pending))
+        finally:
+            for future in pending:
+                future.cancel()
+
+    @staticmethod
+    def _result(future, left: int) -> Outcome:
+        try:
+            return future.result()
+        except futures.BrokenExecutor as error:
+            raise RunError(
+                f"the workers are gone, {left + 1} runs were not done: the same call with a new "
+                f"executor does what is missing ({error})"
+            ) from error
 
 
-def _on_cores(experiment, grid: Grid, key, units, stop):
-    """Each on a core of its own."""
-    over = threading.Event()
-    is_over = lambda: over.is_set() or bool(stop.why)
-    do = lambda unit: driven(experiment, grid.key_of(key, unit), grid.point(unit[0]), is_over)
-    waiting, pool = iter(units), futures.ThreadPoolExecutor(cores())
-    try:
-        running = {pool.submit(do, unit): unit for unit in itertools.islice(waiting, cores())}
-        while running:
-            # Now and then the main thread must wake, or it hears no signal.
-            ended = futures.wait(running, 0.5, futures.FIRST_COMPLETED).done
-            for future in ended:
-                unit = running.pop(future)
-                with contextlib.suppress(Cancelled):
-                    yield unit, future.result()
-                for unit in waiting if not is_over() else ():
-                    running[pool.submit(do, unit)] = unit
-                    break
-    finally:
-        over.set()
-        pool.shutdown(cancel_futures=True)
+@dataclasses.dataclass(frozen=True)
+class _Settings:
+    """How the caller computes, for threads and processes that compute for it."""
+
+    float64: bool
+    matmul_precision: str | None
+
+    @classmethod
+    def of_caller(cls) -> "_Settings":
+        return cls(bool(jax.config.jax_enable_x64), jax.config.jax_default_matmul_precision)
+
+    @contextlib.contextmanager
+    def entered(self):
+        """Compute so until the end."""
+        with jax.enable_x64(self.float64), jax.default_matmul_precision(self.matmul_precision):
+            yield
 
 
-def _elsewhere(executor, experiment, grid: Grid, key, units):
-    """By the workers of an executor."""
-    pending = {
-        executor.submit(
-            _remote,
-            experiment,
-            np.asarray(jax.random.key_data(grid.key_of(key, unit))),
-            grid.point(unit[0]),
-            bool(jax.config.jax_enable_x64),
-        ): unit
-        for unit in units
-    }
-    try:
-        while pending:
-            for future in futures.wait(pending, 0.5, futures.FIRST_COMPLETED).done:
-                unit = pending.pop(future)
-                try:
-                    outcome = future.result()
-                except futures.BrokenExecutor as error:
-                    raise RunError(
-                        f"the workers are gone, {len(pending) + 1} runs were not done: the same "
-                        f"call with a new executor does what is missing ({error})"
-                    ) from error
-                yield unit, outcome
-    finally:
-        for future in pending:
-            future.cancel()
-
-
-def _remote(experiment, key, point: dict, float64: bool) -> Outcome:
-    """A replica in a worker, with the precision of where it was asked for."""
-    jax.config.update("jax_enable_x64", float64)
-    return driven(experiment, jax.random.wrap_key_data(key), point)
+def _remote(experiment, key, point: dict, settings: _Settings) -> Outcome:
+    """A replica in a worker. A Ctrl-C that reaches it too is for whom it works."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    data, implementation = key
+    with settings.entered():
+        return driven(experiment, jax.random.wrap_key_data(data, impl=implementation), point)

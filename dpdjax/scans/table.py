@@ -1,5 +1,6 @@
 """The table of a scan: an xarray dataset, in a netCDF file that is whole at every moment."""
 
+import contextlib
 import json
 import os
 import time
@@ -10,13 +11,14 @@ import numpy as np
 
 import dpdjax
 from dpdjax.errors import FileError
+from dpdjax.files.gsd import writing
+from dpdjax.files.locks import held
 from dpdjax.files.states import replacing
 from dpdjax.files.told import differences
 from dpdjax.measure.statistics import Estimate, from_replicas
 from dpdjax.scans.drive import Outcome
-from dpdjax.scans.grid import Grid, Unit
+from dpdjax.scans.grid import EACH, ENDINGS, ERROR, REPLICA, TAKEN, Grid, Unit
 
-REPLICA, ERROR, EACH = "replica", "_error", "_each"
 OPEN, DONE, FAILED = 0, 1, 2
 """States of a replica."""
 KNOWN = {
@@ -66,6 +68,10 @@ class Table:
         """Replicas that are neither done nor failed."""
         return [(place, k) for place, k in self.grid.units() if self.status[(*place, k)] == OPEN]
 
+    def forget_failures(self):
+        """Take what failed as not yet done."""
+        self.status[self.status == FAILED] = OPEN
+
     def failures(self) -> list[str]:
         """Replicas that failed, each with the reason."""
         return [
@@ -94,16 +100,21 @@ class Table:
         data["reason"] = every, self.reason.astype(str), {"long_name": "why it failed"}
         for name, values in self.cost.items():
             data[name] = every, values, {"long_name": name.replace("_", " ")}
-        found = {
-            name: (name, np.asarray(v), _attributes(name)) for name, v in self.grid.axes.items()
-        }
+        found = {name: (name, _axis(v), _attributes(name)) for name, v in self.grid.axes.items()}
         coordinates = found | {REPLICA: np.arange(self.grid.replicas)}
         about = {"dpdjax": dpdjax.__version__, "made_by": json.dumps(self.made)} | self.about
         return xarray.Dataset(data, coordinates, about)
 
     def take(self, dataset) -> None:
-        """Take over what another table holds of the same points."""
+        """Take over what another table holds of the same points; FileError where the two
+        contradict, or have other axes."""
         axes = list(self.grid.axes)
+        theirs = {str(name) for name in dataset["status"].dims} - {REPLICA}
+        if theirs != set(axes):
+            raise FileError(
+                f"the table has the axes {', '.join(sorted(theirs))}, the scan {', '.join(axes)}: "
+                "give another store"
+            )
         places = [{_plain(x): k for k, x in enumerate(dataset[name].values)} for name in axes] + [
             {int(x): k for k, x in enumerate(dataset[REPLICA].values)}
         ]
@@ -121,6 +132,8 @@ class Table:
             if arrays["status"][there] == OPEN:
                 continue
             here = (*place, replica)
+            if self.status[here] == DONE == arrays["status"][there]:
+                _check_agree(self, names, arrays, here, there)
             self.status[here] = arrays["status"][there]
             self.reason[here] = str(arrays["reason"][there])
             for name, values in self.cost.items():
@@ -131,13 +144,29 @@ class Table:
                 error[here] = arrays[name + EACH + ERROR][there]
 
     def _of(self, name: str):
-        if name in (*self.grid.axes, REPLICA, "status", "reason", *self.cost):
+        if name in (*self.grid.axes, *TAKEN) or name.endswith(ENDINGS):
             raise ValueError(
-                f"the experiment returns {name!r}, the name of an axis or a column of the table; "
+                f"the experiment returns {name!r}, the name of an axis or column of the table; "
                 "return it under another name"
             )
         empty = lambda: np.full(self.grid.shape, np.nan)
         return self.values.setdefault(name, (empty(), empty()))
+
+
+def _check_agree(table: Table, names, arrays, here, there):
+    """Raise FileError where two tables hold other numbers of one replica."""
+    for name in names:
+        mine, other = table._of(name)[0][here], arrays[name + EACH][there]
+        if not (mine == other or np.isnan(mine) or np.isnan(other)):
+            where = table.grid.named((here[:-1], here[-1]))
+            raise FileError(f"{name} at {where} is {mine} in one table and {other} in another")
+
+
+def _axis(values) -> np.ndarray:
+    """The values of an axis as a file holds them."""
+    array = np.asarray(values)
+    is_wide = array.dtype.kind in "iu" and np.abs(array).max() > np.iinfo(np.int32).max
+    return array.astype(float) if is_wide else array
 
 
 class Store:
@@ -163,6 +192,35 @@ class Store:
                 "began with, or another store"
             )
         table.take(dataset)
+        lost = [
+            f"{name} = {_plain(x)}"
+            for name, values in table.grid.axes.items()
+            for x in dataset[name].values
+            if _plain(x) not in values
+        ]
+        if dataset.sizes[REPLICA] > table.grid.replicas:
+            lost.append(f"{dataset.sizes[REPLICA]} replicas")
+        if lost:
+            raise FileError(
+                f"{os.fspath(self.path)} holds what this grid lacks, {', '.join(lost[:4])}: give a "
+                "grid that has it too, or another store"
+            )
+
+    @contextlib.contextmanager
+    def held(self):
+        """Hold the store until the end; FileError where another scan does."""
+        if self.path is None:
+            yield
+            return
+        lock = f"{os.fspath(self.path)}.lock"
+        with writing(self.path), open(lock, "a"):
+            pass
+        with held(lock):
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):
+                    os.remove(lock)
 
     def save(self, table: Table, now: bool = False) -> None:
         """Write the table, if some time has gone by since the last, or ``now``."""
@@ -174,8 +232,6 @@ class Store:
 
 def write(path, dataset) -> None:
     """Write a dataset as netCDF, whole or not at all."""
-    from dpdjax.files.gsd import writing
-
     with writing(path), replacing(path) as file:
         dataset.to_netcdf(file.name, engine="scipy")
 
@@ -214,7 +270,8 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     values = lambda name: list(dict.fromkeys(_plain(x) for p in parts for x in p[name].values))
     replicas = max(part.sizes[REPLICA] for part in parts)
     about = {n: x for n, x in parts[0].attrs.items() if n not in ("dpdjax", "made_by")}
-    table = Table(Grid({name: tuple(values(name)) for name in names}, replicas), made, about)
+    grid = Grid.of({name: values(name) for name in names}, replicas)
+    table = Table(grid, made, about)
     for part in parts:
         table.take(part)
     dataset = table.dataset()

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 
 import jax
 import jax.numpy as jnp
@@ -249,3 +250,148 @@ def test_a_picture(table):
         dpd.plot_scan(table, "speed")
     with pytest.raises(ValueError, match="'rate' is no axis of viscosity"):
         dpd.plot_scan(table, x="rate")
+
+
+FACTOR = 1.0
+
+
+def test_a_larger_grid_is_wanted_where_the_store_has_more(key, tmp_path, monkeypatch):
+    """A smaller call erased what it did not ask for; a changed global was not told."""
+    one = lambda key, x: {"y": FACTOR * x}
+    how = {"key": key, "store": tmp_path / "scan.nc", "progress": False}
+    dpd.scan(one, {"x": [1.0, 2.0]}, replicas=2, **how)
+    with pytest.raises(dpd.FileError, match="holds what this grid lacks, x = 1.0: give a grid"):
+        dpd.scan(one, {"x": [2.0]}, replicas=2, **how)
+    with pytest.raises(dpd.FileError, match="lacks, 2 replicas"):
+        dpd.scan(one, {"x": [1.0, 2.0]}, **how)
+    with pytest.raises(dpd.FileError, match="the table has the axes x, the scan x, z"):
+        dpd.scan(one, {"x": [1.0, 2.0], "z": [1]}, **how)
+    monkeypatch.setattr(sys.modules[__name__], "FACTOR", 2.0)
+    with pytest.raises(dpd.FileError, match="another scan: experiment.uses.FACTOR: 1.0 then, 2.0"):
+        dpd.scan(one, {"x": [1.0, 2.0]}, replicas=2, **how)
+
+
+def test_keys_are_those_of_the_values(key):
+    of = lambda **axes: [Grid.of(axes, 1).key_of(key, unit) for unit in Grid.of(axes, 1).units()]
+    assert of(x=[4, 9])[0] == of(x=[4, 4.5, 9])[0] == of(x=[4.0])[0]
+    a, b = of(x=[1981.2857142857142, 8244.857142857143])
+    assert a != b, "32 bits of a hash are too few"
+    assert of(a=[1.0], b=[2.0])[0] == of(b=[2.0], a=[1.0])[0] != of(a=[2.0], b=[1.0])[0]
+
+
+def test_names_of_the_table_are_kept_free(key):
+    one = lambda key, **point: {"y_error": 1.0}
+    with pytest.raises(ValueError, match="returns 'y_error'"):
+        dpd.scan(one, {"x": [1]}, key=key, progress=False)
+    for name in ("replica", "status", "y_error"):
+        with pytest.raises(ValueError, match=f"is called '{name}', a name of the table"):
+            dpd.scan(one, {name: [1]}, key=key, progress=False)
+    wide = dpd.scan(lambda key, x: {"y": float(x)}, {"x": [2**40]}, key=key, progress=False)
+    assert wide.x.values == wide.y.values == 2**40
+
+
+def test_failures_are_tried_again_when_told(key, tmp_path):
+    mark = str(tmp_path / "tried")
+
+    def shaky(key, *, x):
+        with open(mark, "a") as file:
+            file.write("x")
+        raise RuntimeError("out of memory")
+
+    how = {"key": key, "store": tmp_path / "scan.nc", "progress": False}
+    with pytest.warns(UserWarning, match="out of memory"):
+        for _ in range(2):
+            dpd.scan(shaky, {"x": [1]}, **how)
+        assert open(mark).read() == "x"
+        dpd.scan(shaky, {"x": [1]}, retry=True, **how)
+    assert open(mark).read() == "xx"
+
+
+def test_an_experiment_may_go_on_after_a_failed_run(water, fresh, key):
+    def careful(key, *, rate):
+        try:
+            yield dpd.Run(water, fresh, key, 0.01, dpd.Plan(4, 10), dpd.shear(rate))
+            return {"ran_away": 0.0}
+        except dpd.RunError:
+            return {"ran_away": 1.0}
+
+    table = dpd.scan(careful, {"rate": [0.2, 90.0]}, key=key, progress=False)
+    assert table.ran_away.values.tolist() == [0.0, 1.0]
+
+
+def test_a_run_that_is_broken_off_is_not_measured(water, fresh, key, monkeypatch):
+    """A Ctrl-C inside it gives a trajectory that is short."""
+
+    def broken(*given, **how):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules[dpd.stream.__module__], "replayed", broken)
+    with pytest.raises(drive.Cancelled):
+        drive.Run(water, fresh, key, 0.01, dpd.Plan(4, 10)).alone()
+
+
+def test_threads_compute_as_their_caller(key):
+    kind = lambda key, x: {"bytes": float(jnp.ones(1).dtype.itemsize)}
+    with jax.enable_x64(False):
+        table = dpd.scan(kind, {"x": [1, 2]}, key=key, progress=False)
+    assert table.bytes.values.tolist() == [4.0, 4.0]
+
+
+def test_all_that_ended_is_taken_in(key, monkeypatch):
+    """With the hours over, replicas that had ended beside the first were dropped."""
+    monkeypatch.setattr(sys.modules[dpd.scan.__module__], "cores", lambda: 4)
+    wait = lambda key, x: (time.sleep(0.5), {"y": 1.0})[1]
+    table = dpd.scan(wait, {"x": [1, 2, 3, 4, 5, 6]}, key=key, hours=1e-4, progress=False)
+    assert (table.status == 1).sum() == 4
+
+
+def test_a_store_is_written_by_one(key, tmp_path):
+    one = lambda key, x: {"y": 1.0}
+    how = {"key": key, "store": tmp_path / "scan.nc", "progress": False}
+
+    def inner(key, x):
+        dpd.scan(one, {"x": [1]}, **how)
+
+    with pytest.raises(dpd.FileError, match="is being written by another process"):
+        _within(inner, how)
+    assert not (tmp_path / "scan.nc.lock").exists()
+
+
+def _within(inner, how):
+    """Raise what an experiment saw."""
+    seen = []
+
+    def outer(key, x):
+        try:
+            inner(key, x)
+        except dpd.FileError as error:
+            seen.append(error)
+        return {"y": 1.0}
+
+    dpd.scan(outer, {"x": [1]}, **how)
+    raise seen[0]
+
+
+def test_two_devices_change_nothing(table, tmp_path):
+    """Forced ones of the host, in a process of its own."""
+    script = tmp_path / "devices.py"
+    script.write_text(textwrap.dedent(DEVICES).replace("{grid}", repr(GRID)))
+    flags = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    command = [sys.executable, script, tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=flags)
+    assert done.returncode == 0 and done.stdout.strip() == "2", done.stderr[-2000:]
+    assert same(dpd.load_scan(tmp_path / "two.nc"), table)
+
+
+DEVICES = """
+    import sys, warnings
+    warnings.simplefilter("ignore")
+    import jax, dpdjax as dpd
+    jax.config.update("jax_enable_x64", True)
+    soft = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)
+    water = dpd.fluid([soft], [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)], kT=1.0)
+    experiment = dpd.experiments.Viscosity(fluid=water, box=3.5, time=1.0, settle=1.0, rate=0.5)
+    dpd.scan(experiment, {grid}, key=jax.random.key(7), replicas=2, progress=False,
+             store=sys.argv[1] + "/two.nc")
+    print(len(jax.devices()))
+"""
