@@ -257,7 +257,7 @@ def _suspended(parser):
         "--gamma", type=float, default=4.5, help="friction [mass/time] (default: 4.5)"
     )
     parser.add_argument(
-        "--eta0",
+        "--eta_0",
         type=float,
         default=0.3,
         help="viscosity of the solvent, for lubrication (default: 0.3)",
@@ -448,7 +448,7 @@ def _run_suspension(arguments) -> dict:
     report = lambda text: print(text, file=sys.stderr, flush=True)
     made = dpd.suspension(
         key,
-        eta_0=arguments.eta0,
+        eta_0=arguments.eta_0,
         sheared=arguments.rate != 0,
         integrator=_integrator(arguments),
         report=report,

@@ -393,7 +393,7 @@ def test_numbers_reach_the_suspension(capsys, monkeypatch):
     numbers |= {"kappa": 20.0, "dt": 1e-4}
     options = [x for name, value in numbers.items() for x in (f"--{name}", value)]
     assert (
-        said(capsys, "suspension", *options, *named, "--eta0", 0.9, "--rate", 0.1)[2].splitlines()[
+        said(capsys, "suspension", *options, *named, "--eta_0", 0.9, "--rate", 0.1)[2].splitlines()[
             -1
         ]
         == "dpdjax suspension: seen"
