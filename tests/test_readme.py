@@ -34,6 +34,7 @@ SMALLER = {
     "fit=(8.0, 12.0)": "fit=(1.0, 2.0)",
     "Plan(20000, 1)": "Plan(200, 1)",
     "window=1.0": "window=0.1",
+    "Plan(100, 2), shear": "Plan(20, 2), shear",
     "logarithmic(2000, per_decade=20)": "logarithmic(8, per_decade=5)",
     "box=5.0, density=3.0": "box=3.5, density=3.0",
     "dpd.Plan(20, 20)": "dpd.Plan(2, 5)",

@@ -73,7 +73,6 @@ def plot_scan(
 
 
 def _named(values) -> str:
-    """Long name, symbol and unit of what is drawn."""
+    """Long name and unit of what is drawn."""
     unit = values.attrs.get("units", "")
-    long = values.attrs.get("long_name", values.name)
-    return f"{long}" + (f" [{unit}]" if unit and unit != "1" else "")
+    return drawing.labelled(values.attrs.get("long_name", values.name), "" if unit == "1" else unit)

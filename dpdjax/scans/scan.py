@@ -15,13 +15,14 @@ import numpy as np
 import dpdjax
 from dpdjax.checks import prng_key, whole
 from dpdjax.engine.members import cores
+from dpdjax.engine.tables import xarray_module
 from dpdjax.errors import RunError
 from dpdjax.files.told import told
 from dpdjax.host.stops import Stop, stopping
 from dpdjax.scans.drive import Cancelled, Outcome, driven, driven_together
 from dpdjax.scans.grid import Grid, Unit
 from dpdjax.scans.progress import Progress
-from dpdjax.scans.table import Store, Table, told_failures, xarray_module
+from dpdjax.scans.table import Store, Table, told_failures
 from dpdjax.xla import on_cpu
 
 WAKE = 0.5

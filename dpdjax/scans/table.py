@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import dpdjax
+from dpdjax.engine.tables import xarray_module
 from dpdjax.errors import FileError
 from dpdjax.files.gsd import writing
 from dpdjax.files.locks import held
@@ -278,15 +279,6 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     if store is not None:
         write(store, dataset)
     return dataset
-
-
-def xarray_module():
-    """The module ``xarray``; ImportError with the cure where it is missing."""
-    try:
-        import xarray
-    except ImportError as error:
-        raise ImportError('scans need xarray: pip install "dpdjax[scan]"') from error
-    return xarray
 
 
 def _plain(value):

@@ -243,7 +243,7 @@ def test_dask_with_a_worker_killed_in_the_middle(table, tmp_path):
 
 def test_a_picture(table):
     ax = dpd.plot_scan(table)
-    assert ax.get_ylabel() == "shear viscosity [energy time/length^3]"
+    assert ax.get_ylabel() == "shear viscosity [energy time/length$^3$]"
     assert ax.get_xlabel() in ("friction [mass/time]", "repulsion [energy/length]")
     assert len(ax.get_legend().get_texts()) == 2
     with pytest.raises(ValueError, match="name is 'speed'; the table has viscosity, temperature"):
