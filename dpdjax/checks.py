@@ -77,7 +77,8 @@ def whole(value, name: str, least: int = 1, most: int = 2**53) -> int:
     """``value`` as an integer; ValueError unless it is a whole number within bounds."""
     is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not is_number or not least <= value <= most or value % 1:
-        bound = f"at most {most}" if is_number and value > most else f"at least {least}"
+        is_large = is_number and most < value < np.inf
+        bound = f"at most {most}" if is_large else f"at least {least}"
         raise ValueError(f"{name} is {value!r}; it must be a whole number of {bound}")
     return int(value)
 

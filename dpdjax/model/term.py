@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -268,7 +268,8 @@ def term(
 def several(terms, name: str) -> list[Term]:
     """One term or a sequence of them, as a list; TypeError, with the name they were given under,
     for anything else."""
-    terms = list(terms) if isinstance(terms, list | tuple) else [terms]
+    is_many = isinstance(terms, Iterable) and not isinstance(terms, str | dict | type | jax.Array)
+    terms = list(terms) if is_many and not isinstance(terms, np.ndarray) else [terms]
     for t in terms:
         if not isinstance(t, Term):
             raise TypeError(

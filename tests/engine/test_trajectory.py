@@ -91,8 +91,10 @@ def test_runs_in_a_row_are_one(run, first, batch, tmp_path):
     )
     for name in ("step", "time", "position", "pressure_tensor"):
         np.testing.assert_allclose(both.frames[name], whole.frames[name], rtol=1e-6, atol=1e-6)
+    assert (first + second).frames["position"].shape == (8, first.final.n, 3)
+    other = run(first.final, observe=dpd.observe.standard)
     with pytest.raises(ValueError, match="the runs recorded .*unwrapped.* only the same"):
-        first + second
+        first + other
     later = run(batch.final, key=jax.random.split(jax.random.key(1), 3))
     assert (batch + later).frames["position"].shape == (3, 8, first.final.n, 3)
     stored = run(out=tmp_path / "first.gsd", observe=dpd.observe.standard)

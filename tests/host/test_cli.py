@@ -248,6 +248,8 @@ def test_calibration_of_real_boxes(capsys, monkeypatch):
         "lower",
         "--gamma",
         4,
+        "--seed",
+        1,
     ]
     status, out, err = said(capsys, "calibrate", "--viscosity", 1.26, *small, "--json")
     assert status == 0, err

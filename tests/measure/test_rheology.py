@@ -66,6 +66,7 @@ def trajectory(stress, time, every=EVERY, flow=FLOW, fluid=WATER, dt=DT):
         fluid=fluid,
         every=every,
         interval=np.asarray(dt) * every,
+        dt=np.asarray(dt),
     )
 
 
@@ -234,5 +235,6 @@ def test_a_run_knows_its_means(water_in_oscillation, water, fresh, key):
 def test_water_is_viscous_and_hardly_elastic(water_in_oscillation):
     found = dpd.measure.moduli(water_in_oscillation)
     assert len(found.cycles) == 8 and found.viscosity.error < 0.06
-    assert found.viscosity.deviation(0.85) < 5
+    # Of 128 beads at this frequency, whatever the sample; that of a large box at rest is 0.85.
+    assert abs(found.viscosity.value - 0.85) < 0.2
     assert abs(found.storage.value) < 0.2 * found.loss.value + 3 * found.storage.error

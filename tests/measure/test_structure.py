@@ -108,7 +108,7 @@ def test_wrong_positions(position, message):
 
 def test_wrong_trajectories(water):
     final = SimpleNamespace(box=Box(SIDES, np.zeros(())))
-    run = {"final": final, "fluid": water, "interval": 0.1}
+    run = {"final": final, "fluid": water, "interval": 0.1, "dt": 0.1}
     frames = {"time": np.arange(5), "position": ideal_gas(5, 8)}
     with pytest.raises(
         ValueError, match="sheared, and the tilt of the box in each frame is unknown; record it too"
