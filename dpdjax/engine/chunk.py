@@ -110,7 +110,7 @@ def shape_of(plan: Plan, beads: int) -> Plan:
     room = min(ROOM, room_for(beads))
     while room < plan.frames:
         room *= WIDER
-    return Plan(room, order.LASTS if np.max(plan.intervals) >= order.LASTS else 1)
+    return Plan(room, order.LASTS if plan.longest >= order.LASTS else 1)
 
 
 def trips_of(plan: Plan, room: int):

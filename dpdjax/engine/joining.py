@@ -6,15 +6,18 @@ import jax
 import numpy as np
 
 
+def end_to_end(parts, axis: int) -> dict:
+    """Recorded values by name of parts that follow one another, as one; ``axis`` is that of the
+    frames."""
+    return jax.tree.map(lambda *values: np.concatenate(values, axis), *parts) if parts else {}
+
+
 def joined(first, second):
     """See :meth:`dpdjax.Trajectory.__add__`."""
     _check_alike(first, second)
     _check_follows(first, second)
-    axis = 1 if first.is_batch else 0
-    frames = {
-        name: np.concatenate([first.frames[name], second.frames[name]], axis)
-        for name in first.frames
-    }
+    both = [{name: run.frames[name] for name in first.frames} for run in (first, second)]
+    frames = end_to_end(both, 1 if first.is_batch else 0)
     failed = tuple((dict(second.failed) | dict(first.failed)).items())
     return dataclasses.replace(second, frames=frames, failed=failed)
 

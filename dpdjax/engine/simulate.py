@@ -4,7 +4,6 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete, prng_key
@@ -100,7 +99,7 @@ def proceed(
     # Interval records need the pair sums of every step; instantaneous ones of the last step only.
     each = any(r.accumulates for r in how)
     one = lambda state, tally: system.integrator.stepped(system, state, key, tally)
-    is_sorted_anew = int(np.max(plan.intervals)) >= order.LASTS
+    is_sorted_anew = plan.longest >= order.LASTS
     ids = state.id
     seen = lambda state: order.in_order_of(state, ids)
 

@@ -79,7 +79,7 @@ class Plan:
     @property
     def steps(self) -> int:
         """Steps in all."""
-        return self.schedule[-1] if self.schedule else self.frames * self.every
+        return self.until(self.frames)
 
     @property
     def intervals(self) -> np.ndarray:
@@ -88,12 +88,23 @@ class Plan:
             return np.diff(np.asarray(self.schedule), prepend=0)
         return np.full(self.frames, self.every)
 
+    @property
+    def longest(self) -> int:
+        """Most steps before a frame."""
+        return int(np.max(self.intervals)) if self.schedule else self.every
+
+    def until(self, frames: int) -> int:
+        """Steps up to a frame, by its number from 1 on; 0 for none."""
+        if not self.schedule:
+            return frames * self.every
+        return self.schedule[frames - 1] if frames else 0
+
     def part(self, begin: int, frames: int) -> "Plan":
         """That of some frames in turn, from number ``begin`` on."""
         if not self.schedule:
             return Plan(frames, self.every)
-        start = self.schedule[begin - 1] if begin else 0
-        return Plan.at(np.asarray(self.schedule[begin : begin + frames]) - start)
+        some = np.asarray(self.schedule[begin : begin + frames])
+        return Plan.at(some - self.until(begin))
 
 
 def _check_schedule(plan: Plan):

@@ -5,13 +5,12 @@ import os
 import time
 from pathlib import Path
 
-import jax
 import numpy as np
 
 import dpdjax
 from dpdjax.checks import plain, positive
+from dpdjax.engine.joining import end_to_end
 from dpdjax.engine.state import State
-from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
 from dpdjax.errors import FileError
 from dpdjax.files import states
@@ -85,7 +84,7 @@ class Checkpoint:
     def save(self, saved: "Saved", frames: list[dict], axis: int) -> None:
         """Save a run, and frames that are not saved yet; whole, or not at all."""
         if frames:
-            joined = jax.tree.map(lambda *parts: np.concatenate(parts, axis), *frames)
+            joined = end_to_end(frames, axis)
             with states.replacing(self._frames(saved.frames)) as file:
                 np.savez(file, **{BEFORE + name: values for name, values in joined.items()})
         more = {f.name: getattr(saved, f.name) for f in dataclasses.fields(saved)}
@@ -97,8 +96,7 @@ class Checkpoint:
         for end in sorted(end for end in self._ends() if end <= count):
             with np.load(self._frames(end)) as file:
                 parts.append({name.removeprefix(BEFORE): file[name] for name in file})
-        join = lambda *values: np.concatenate(values, axis)
-        found = jax.tree.map(join, *parts) if parts else {}
+        found = end_to_end(parts, axis)
         if (found["step"].shape[axis] if found else 0) != count:
             raise FileError(
                 f"checkpoint {os.fspath(self.folder)!r} lacks some of its {count} frames; begin "
@@ -132,7 +130,9 @@ class Saved:
         made: what made it, as :func:`made_by` tells it.
         start: of some beads at the start, places, velocities and sizes.
         planned: frames of the plan it was saved under.
-        out: the GSD file that holds the frames, as :class:`Target`; None where the checkpoint does.
+        begin: frames that its GSD file held before it.
+        out: the name of that file and the species written there; None where the checkpoint holds
+            the frames.
     """
 
     state: State
@@ -141,6 +141,7 @@ class Saved:
     made: dict
     start: list
     planned: int
+    begin: int
     out: dict | None
 
     @property
@@ -149,9 +150,10 @@ class Saved:
         return self.frames >= self.planned
 
 
-def made_by(system: System, state: State, key, plan: Plan, how: tuple) -> dict:
-    """What makes a run what it is, to be compared with another."""
-    system = system.as_type(state.position.dtype)
+def made_by(job) -> dict:
+    """What makes a run what it is, to be compared with another; ``job`` has its system, state, key,
+    plan and recorders ``how``."""
+    state, system = job.state, job.system.as_type(job.state.position.dtype)
     return {
         "version": dpdjax.__version__,
         "dtype": str(state.position.dtype),
@@ -163,9 +165,9 @@ def made_by(system: System, state: State, key, plan: Plan, how: tuple) -> dict:
         "flow": told(system.flow),
         "dt": told(system.dt),
         "integrator": told(system.integrator),
-        "key": told(key),
-        "observe": told(how),
-        PLANNED: _intervals(plan),
+        "key": told(job.key),
+        "observe": told(job.how),
+        PLANNED: _intervals(job.plan),
     }
 
 
@@ -187,9 +189,14 @@ def start_of(state: State) -> list:
     return np.round(rows[np.linspace(0, len(rows) - 1, SEEN).astype(int)], 6).tolist()
 
 
+def differing(before: dict, now: dict) -> list[str]:
+    """Where two runs differ, but for how long they are."""
+    return differences(*({k: v for k, v in made.items() if k != PLANNED} for made in (before, now)))
+
+
 def check_same(saved: Saved, made: dict, state: State, plan: Plan, out, folder) -> None:
     """Raise FileError, naming what differs, unless a run is that of a checkpoint, or longer."""
-    lines = differences(*({k: v for k, v in m.items() if k != PLANNED} for m in (saved.made, made)))
+    lines = differing(saved.made, made)
     before, now = saved.made[PLANNED], made[PLANNED]
     if plan.frames < saved.frames:
         lines.append(f"plan: {saved.frames} frames were done, and it has {plan.frames} now")

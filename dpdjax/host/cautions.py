@@ -30,7 +30,7 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
         small = f"box side {side:.4g} is small for a suspension, whose images are felt"
         found.append(f"{small}: use {least:.4g} or more for production")
     found += cut_short(fluid) + deep_wells(fluid)
-    interval = float(np.max(np.asarray(dt))) * int(np.max(plan.intervals))
+    interval = float(np.max(np.asarray(dt))) * plan.longest
     if interval > tau:
         found.append(
             f"frames are {interval:.4g} apart, more than the diffusion time {tau:.4g}: "

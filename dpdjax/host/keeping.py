@@ -1,7 +1,6 @@
 """What becomes of the frames of a run: kept in memory, or on disk as they come."""
 
 import contextlib
-import dataclasses
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,17 +8,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import jax
 import numpy as np
 
+from dpdjax.engine.joining import end_to_end
 from dpdjax.errors import FileError
 from dpdjax.files import checkpoint as points
 from dpdjax.files.frames import StoredFrames, about
 from dpdjax.files.gsd import GSD, check_follows, derived, gsd_writer, reading, writing
 from dpdjax.files.locks import held
 from dpdjax.files.states import refuse_existing, replacing
-from dpdjax.files.told import differences
 from dpdjax.host.stream import Job, Piece
-
-BEGIN = "begin"
-"""Frames that a file held before a run, by which name its checkpoint remembers them."""
 
 
 class InMemory:
@@ -34,8 +30,7 @@ class InMemory:
 
     def frames(self) -> dict:
         """All of them, by name."""
-        join = lambda *parts: np.concatenate(parts, self.axis)
-        return jax.tree.map(join, *self._pieces) if self._pieces else {}
+        return end_to_end(self._pieces, self.axis)
 
 
 class OnDisk:
@@ -44,8 +39,8 @@ class OnDisk:
     Made by :func:`kept`.
     """
 
-    def __init__(self, job: Job, out: "_Out | None", saving: "_Saving | None"):
-        self.job, self._out, self._saving = job, out, saving
+    def __init__(self, out: "_Out | None", saving: "_Saving | None"):
+        self._out, self._saving = out, saving
         self._writer = _Background()
         self._last: Piece | None = None
 
@@ -97,7 +92,7 @@ def kept(job: Job, out: GSD | None, checkpoint: points.Checkpoint | None, say: C
         target = None if out is None else stack.enter_context(_opened(out, job, saving, say))
         if saving is not None:
             saving.begin(0 if target is None else target.begin)
-        record = OnDisk(job, target, saving)
+        record = OnDisk(target, saving)
         try:
             yield job, record
         finally:
@@ -123,31 +118,24 @@ class _Saving:
     def __init__(self, checkpoint: points.Checkpoint, job: Job, out: GSD | None):
         self.checkpoint, self.clock = checkpoint, points.Clock(checkpoint.seconds)
         self.axis = 1 if job.key.ndim else 0
-        self.made = points.made_by(job.system, job.state, job.key, job.plan, job.how)
-        self._start, self._out = points.start_of(job.state), None
+        self.made = points.made_by(job)
+        self._start, self._begin, self._out = points.start_of(job.state), 0, None
         if out is not None:
             self._out = {"file": os.path.basename(out.path), "species": out.species}
         self.saved = checkpoint.load()
         self._pending: list[dict] = []
         if self.saved is not None:
-            self._start = self._check(self.saved, job)
+            of = self.made, job.state, job.plan, self._out, checkpoint.folder
+            points.check_same(self.saved, *of)
+            self._start, self._begin = self.saved.start, self.saved.begin
             checkpoint.drop_later(self.saved.frames)
             job = job.resumed(self.saved.state, self.saved.frames, dict(self.saved.failed))
         self.job, self._done = job, job.done
 
-    def _check(self, saved: points.Saved, job: Job) -> list:
-        """Raise FileError unless the job is the one that was saved; the start of that."""
-        held_by = {k: v for k, v in (saved.out or {}).items() if k != BEGIN} or None
-        seen = dataclasses.replace(saved, out=held_by)
-        of = self.made, job.state, job.plan, self._out, self.checkpoint.folder
-        points.check_same(seen, *of)
-        return saved.start
-
     def begin(self, frames: int):
         """Save the run before it goes on, with the frames that its file held before it: one that is
         killed at once begins again in the same file."""
-        if self._out is not None:
-            self._out[BEGIN] = frames
+        self._begin = frames
         if self.saved is None or self.job.plan.frames > self.saved.planned:
             self.save(Piece(self.job.state, {}, self.job.failed))
 
@@ -162,7 +150,8 @@ class _Saving:
         failed = [[int(k), why] for k, why in piece.failed.items()]
         state = jax.device_get(piece.state)
         planned = self.job.plan.frames
-        saved = points.Saved(state, self._done, failed, self.made, self._start, planned, self._out)
+        start = self._start, planned, self._begin, self._out
+        saved = points.Saved(state, self._done, failed, self.made, *start)
         with writing(self.checkpoint.folder):
             self.checkpoint.save(saved, self._pending, self.axis)
         self._pending = []
@@ -213,7 +202,7 @@ def _opened(target: GSD, job: Job, saving: _Saving | None, say: Callable):
         mode = "r+" if begin or job.done else "w"
         if mode == "r+":
             stack.enter_context(held(target.path))
-        made = points.made_by(job.system, job.state, job.key, job.plan, job.how)
+        made = saving.made if saving is not None else points.made_by(job)
         told = target.about | {"version": made["version"], "every": job.plan.every, "made": made}
         yield _Out(target, mode, job, begin, None if job.done else told, stack)
 
@@ -239,7 +228,7 @@ def _begin(target: GSD, job: Job) -> int:
 
 def _resume(target: GSD, saving: _Saving, say: Callable) -> int:
     """Leave of a file the frames that were saved with the run; those that were there before it."""
-    saved, begin = saving.saved, saving.saved.out[BEGIN]
+    saved, begin = saving.saved, saving.saved.begin
     count = begin + saved.frames
     if not os.path.exists(target.path):
         if count:
@@ -256,8 +245,7 @@ def _resume(target: GSD, saving: _Saving, say: Callable) -> int:
                 f"{target.path} holds {there} frames and its checkpoint is at frame {count}: bring "
                 "the file back, or begin anew"
             )
-        both = ({k: v for k, v in m.items() if k != points.PLANNED} for m in (wrote, saving.made))
-        other = differences(*both) if there > begin else []
+        other = points.differing(wrote, saving.made) if there > begin else []
         if other:
             raise FileError(f"{target.path} is of another run than its checkpoint: {other[0]}")
         if there > count and saved.is_finished:

@@ -28,7 +28,7 @@ class Progress:
         # Once there is something to say: a run that is refused shows none.
         return tqdm(
             total=self.plan.steps,
-            initial=self._steps(self._begun),
+            initial=self.plan.until(self._begun),
             unit="step",
             disable=not self._shown,
             mininterval=0.5 if sys.stderr.isatty() else SELDOM,
@@ -45,7 +45,7 @@ class Progress:
     def advance(self, piece: Piece):
         """One more piece is done."""
         frames = piece.frames["step"].shape[-1]
-        steps = self._steps(self.frames + frames) - self._steps(self.frames)
+        steps = self.plan.until(self.frames + frames) - self.plan.until(self.frames)
         self.frames += frames
         self._leave_out(compiling.seconds() - self._compiled)
         self._compiled = compiling.seconds()
@@ -70,9 +70,6 @@ class Progress:
     def __exit__(self, *_):
         if "_bar" in vars(self):
             self._bar.close()
-
-    def _steps(self, frames: int) -> int:
-        return int(self.plan.intervals[:frames].sum())
 
     def _so_far(self, piece: Piece) -> str:
         """Particle-steps a second, and temperature and pressure of the last frame."""

@@ -131,7 +131,7 @@ class Job:
         beads = int(np.prod(state.position.shape[:-1]))
         most = plan.frames if size is None else max(1, min(size, plan.frames))
         # All pieces by one program, the shorter ones too.
-        shape = shape_of(Plan(min(most, chunk_frames(plan, beads)), _longest(plan)), beads)
+        shape = shape_of(Plan(min(most, chunk_frames(plan, beads)), plan.longest), beads)
         done, failed = self.done, self.failed
         while done < plan.frames:
             count = most if size is not None else chunk_frames(plan, beads, done)
@@ -182,11 +182,6 @@ def chunk_frames(plan: Plan, beads: int, begin: int = 0) -> int:
         steps = np.cumsum(plan.intervals[begin:])
         count = int(np.searchsorted(steps, most, side="right"))
     return max(1, min(count, room_for(beads)))
-
-
-def _longest(plan: Plan) -> int:
-    """Most steps before a frame of a plan."""
-    return int(np.max(plan.intervals))
 
 
 def _failed(before: dict, status, system: System, when: str) -> dict[int, str]:
