@@ -1,6 +1,7 @@
 """Small helpers for arguments: make a number an array, and know whether its value can be read."""
 
 import json
+import os
 
 import jax
 import jax.numpy as jnp
@@ -88,6 +89,13 @@ def choice(value, known, name: str):
     if not (value is None or isinstance(value, str)) or value not in known:
         words = [json.dumps(word) if isinstance(word, str) else str(word) for word in known]
         raise ValueError(f"{name} is {value!r}; it is {' or '.join(words)}")
+    return value
+
+
+def file_name(value, name: str, cure: str = "give a file name"):
+    """``value`` itself; TypeError, with the cure, unless it is a name of a file or a folder."""
+    if not isinstance(value, str | os.PathLike) or not os.fspath(value):
+        raise TypeError(f"{name} is {value!r}; {cure}")
     return value
 
 

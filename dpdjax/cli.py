@@ -458,12 +458,12 @@ def _run_suspension(arguments) -> dict:
     how = dict(integrator=made.integrator, progress=not arguments.json)
     state, spent = made.state, 0
     if arguments.settle > 0:
-        every = max(1, round(arguments.settle / made.dt / 10))
+        calm = dpd.Plan.over(arguments.settle, made.dt, 10)
         hard = made.fluid.set(D0=0.0)
-        settled = dpd.run(hard, state, key, made.dt, dpd.Plan(10, every), **how)
+        settled = dpd.run(hard, state, key, made.dt, calm, **how)
         _go_on_with(settled.complete)
         state = settled.final.restarted()
-        spent = 10 * every
+        spent = calm.steps
     steps = arguments.times * made.tau / made.dt
     frames = max(2, min(arguments.frames, round(steps)))
     plan = dpd.Plan(frames, max(1, round(steps / frames)))

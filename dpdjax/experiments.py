@@ -27,14 +27,23 @@ from dpdjax.scans.drive import Run
 
 __all__ = ["Diffusion", "Gel", "Pressure", "SuspensionViscosity", "Viscosity"]
 
-FRAMES = 400
-"""Frames of a run that is averaged over."""
+FRAMES, SETTLE = 400, 10
+"""Frames of a run that is averaged over, and of one that settles."""
 
 
 def _planned(steps: float) -> Plan:
     """So many steps, in at most twice ``FRAMES`` frames."""
     every = max(1, int(steps / FRAMES))
     return Plan(max(1, round(steps / every)), every)
+
+
+def _at(experiment, point: dict, matter: str) -> tuple[Any, dict]:
+    """An experiment with the values of a point that are its own, and the others, which are of the
+    matter it holds under a name."""
+    own = {f.name for f in dataclasses.fields(experiment)} - {matter}
+    mine = {name: value for name, value in point.items() if name in own}
+    others = {name: value for name, value in point.items() if name not in own}
+    return dataclasses.replace(experiment, **mine), others
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -63,9 +72,7 @@ class _OfFluid:
 
     def at(self, point: dict) -> tuple[Any, dict]:
         """The experiment with the values of a point, and those that are of the fluid."""
-        own = {f.name for f in dataclasses.fields(self)} - {"fluid"}
-        mine = {name: value for name, value in point.items() if name in own}
-        return dataclasses.replace(self, **mine), {n: v for n, v in point.items() if n not in own}
+        return _at(self, point, "fluid")
 
     def settled(self, key, numbers: dict):
         """A generator that asks for the run to rest, and returns fluid, state, step and method."""
@@ -74,8 +81,8 @@ class _OfFluid:
         shares = np.full(fluid.species, self.density / fluid.species)
         how, dt = suited(fluid, shares, integrator=self.integrator, dt=self.dt)
         state = initial_state(fluid, key, box=self.box, density=self.density, dt=dt)
-        every = max(1, round(self.settle / dt / 10))
-        rest = yield Run(fluid, state, key, dt, Plan(10, every), integrator=how)
+        calm = Plan.over(self.settle, dt, SETTLE)
+        rest = yield Run(fluid, state, key, dt, calm, integrator=how)
         return fluid, rest.final, dt, how
 
     def plan(self, dt: float) -> Plan:
@@ -99,9 +106,7 @@ class Viscosity(_OfFluid):
         fluid, state, dt, how = yield from own.settled(key, numbers)
         flow = shear(own.rate)
         # Until the flow has come about.
-        late = yield Run(
-            fluid, state, key, dt, Plan(10, max(1, round(3 / dt / 10))), flow, integrator=how
-        )
+        late = yield Run(fluid, state, key, dt, Plan.over(3.0, dt, SETTLE), flow, integrator=how)
         ran = yield Run(
             fluid, late.final, key, dt, own.plan(dt), flow, observe=shear_record, integrator=how
         )
@@ -168,24 +173,20 @@ class _OfSuspension:
     def settled(self, key, point: dict, sheared: bool):
         """A generator that asks for the run to rest; returns what was made, its state, and the
         experiment with the values of the point."""
-        own = {f.name for f in dataclasses.fields(self)} - {"numbers"}
-        mine = {name: value for name, value in point.items() if name in own}
-        this = dataclasses.replace(self, **mine)
-        others = {"kT": 0.1} | self.numbers | {n: v for n, v in point.items() if n not in own}
+        this, given = _at(self, point, "numbers")
+        others = {"kT": 0.1} | self.numbers | given
         how = {"phi": this.phi, "box": this.box, "sheared": sheared, "report": None}
         made = suspension(key, **how, **others)
-        every = max(1, round(this.settle / made.dt / 10))
+        plan = Plan.over(this.settle, made.dt, SETTLE)
         calm = made.fluid.set(D0=0.0) if "D0" in others else made.fluid
-        rest = yield Run(
-            calm, made.state, key, made.dt, Plan(10, every), integrator=made.integrator
-        )
+        rest = yield Run(calm, made.state, key, made.dt, plan, integrator=made.integrator)
         return made, rest.final.restarted(), this
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Gel(_OfSuspension):
-    """``contact_number`` and ``largest_cluster`` (its share of the colloids) at the end of a quench
-    from rest into the attraction, over ``times`` diffusion times."""
+    """``contact_number`` and ``largest_cluster`` (the colloids in it) at the end of a quench from
+    rest into the attraction, over ``times`` diffusion times."""
 
     def __call__(self, key: jax.Array, **point):
         """Ask for the runs at a point."""

@@ -59,3 +59,25 @@ def with_cells(state):
         return neighbours.allocate(new, state.box, state.position)
 
     return dataclasses.replace(state, neighbours=tuple(map(planned, state.neighbours)))
+
+
+WATER = """
+[fluid]
+kT = 1.0
+{place}
+
+[[fluid.conservative]]
+law = "soft_repulsion"
+a = 25.0
+r_c = 1.0
+
+[[fluid.drag]]
+law = "central_drag"
+gamma = 4.5
+r_c = 1.0
+"""
+
+
+def water_toml(place: str = "") -> str:
+    """The standard fluid as the table [fluid] of a TOML file, with where its beads are."""
+    return WATER.format(place=place)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small import water_toml
 
 import dpdjax as dpd
 from dpdjax.configs.running import run_file
@@ -57,6 +58,13 @@ OTHERWISE = {
     "observe": ["<lambda>()", "dict"],
 }
 """What an argument may be called in a message."""
+ALIKE = hypothesis.settings(
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=list(hypothesis.HealthCheck),
+)
+"""The same examples every time, however long they take."""
 KEY = jax.random.key(0)
 SOFT = {"a": 25.0, "r_c": 1.0}
 RUB = {"gamma": 4.5, "r_c": 1.0}
@@ -208,10 +216,7 @@ def test_odd_values_are_taken_or_told(name, calls, tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore")
 @hypothesis.given(data=st.data())
-@hypothesis.settings(
-    max_examples=60, deadline=None, derandomize=True, database=None,
-    suppress_health_check=list(hypothesis.HealthCheck),
-)  # fmt: skip
+@hypothesis.settings(ALIKE, max_examples=60)
 def test_several_odd_values_at_once(calls, data):
     """Any two arguments, with numbers of any size too."""
     name = data.draw(
@@ -271,27 +276,17 @@ def _is_finite(result) -> bool:
     return True
 
 
-TOML = """
-seed = 0
-[fluid]
-kT = 1.0
-box = 3.5
-density = 3.0
-skin = 0.3
-[[fluid.conservative]]
-law = "soft_repulsion"
-a = 25.0
-r_c = 1.0
-[[fluid.drag]]
-law = "central_drag"
-gamma = 4.5
-r_c = 1.0
+TOML = (
+    "seed = 0\n"
+    + water_toml("box = 3.5\ndensity = 3.0\nskin = 0.3")
+    + """
 [plan]
 steps = 4
 frames = 2
 [output]
 gsd = "odd.gsd"
 """
+)
 WORDS = st.sampled_from(
     ["1e400", "nan", "-3", "0", '"x"', "[]", "{}", "true", "1979-05-27", "[1, 2]", '""']
 )
@@ -299,13 +294,10 @@ WORDS = st.sampled_from(
 
 @pytest.mark.filterwarnings("ignore")
 @hypothesis.given(data=st.data())
-@hypothesis.settings(
-    max_examples=80, deadline=None, derandomize=True, database=None,
-    suppress_health_check=list(hypothesis.HealthCheck),
-)  # fmt: skip
+@hypothesis.settings(ALIKE, max_examples=80)
 def test_odd_files(data, tmp_path_factory):
     """A line of a file left out, doubled, misspelt, or with an odd value."""
-    lines = TOML.strip().splitlines()
+    lines = [line for line in TOML.splitlines() if line]
     k = data.draw(st.integers(0, len(lines) - 1))
     how = data.draw(st.sampled_from(["left out", "doubled", "misspelt", "odd value"]))
     line = lines[k]

@@ -92,7 +92,7 @@ def _settled(section: Section, made, key, checkpoint, hours, how):
         return made.state
     zero = {name: 0.0 for name in section.get("without", list, [])}
     fluid = section.guarded(lambda: made.fluid.set(**zero)) if zero else made.fluid
-    plan = dpd.Plan(10, max(1, round(length / made.dt / 10)))
+    plan = dpd.Plan.over(length, made.dt, 10)
     more = {"checkpoint": checkpoint, "hours": hours}
     settled = dpd.run(fluid, made.state, key, made.dt, plan, **more, **how)
     return settled.final.restarted() if settled.complete else None

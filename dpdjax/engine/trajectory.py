@@ -64,6 +64,11 @@ class Plan:
         return cls(len(steps), None, tuple(steps))
 
     @classmethod
+    def over(cls, time: float, dt: float, frames: int) -> "Plan":
+        """So many frames, evenly over a time [time] in steps of ``dt``, a step apart at least."""
+        return cls(frames, max(1, round(time / dt / frames)))
+
+    @classmethod
     def logarithmic(cls, steps: int, *, first: int = 1, per_decade: int = 10) -> "Plan":
         """Frames at steps that grow by a factor, ``per_decade`` in each ten, from ``first`` to
         ``steps``: for what ages, such as a gel. Where two fall upon one step there is one."""

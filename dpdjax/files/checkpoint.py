@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import dpdjax
-from dpdjax.checks import plain, positive
+from dpdjax.checks import file_name, plain, positive
 from dpdjax.engine.joining import end_to_end
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Plan
@@ -45,10 +45,8 @@ class Checkpoint:
         """What ``checkpoint=`` of a run means: the name of a folder, or one of these."""
         if checkpoint is None or isinstance(checkpoint, Checkpoint):
             return checkpoint
-        if not isinstance(checkpoint, str | os.PathLike):
-            raise TypeError(
-                f"checkpoint is {checkpoint!r}; give the name of a folder, or dpd.Checkpoint(...)"
-            )
+        cure = "give the name of a folder, or dpd.Checkpoint(...)"
+        file_name(checkpoint, "checkpoint", cure)
         return cls(checkpoint)
 
     @property

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dpdjax.checks import file_name
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.observables import positions, rotations
 from dpdjax.engine.record import Recorder
@@ -70,8 +71,7 @@ class GSD:
         """What ``out=`` of a run means: a file name, or one of these."""
         if out is None or isinstance(out, GSD):
             return out
-        if not isinstance(out, str | os.PathLike):
-            raise TypeError(f"out is {out!r}; give a file name, or dpd.GSD(...)")
+        file_name(out, "out", "give a file name, or dpd.GSD(...)")
         if not os.fspath(out).endswith(".gsd"):
             raise ValueError(
                 f"out is {os.fspath(out)!r}; give the name of a GSD file, such as run.gsd"
@@ -215,8 +215,7 @@ def hoomd_files():
 @contextlib.contextmanager
 def reading(path):
     """A GSD file to read frames from; FileError for what is none."""
-    if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"path is {path!r}; give a file name")
+    file_name(path, "path")
     hoomd = hoomd_files()
     try:
         file = hoomd.open(str(path), "r")

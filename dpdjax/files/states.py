@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.checks import file_name
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
 from dpdjax.pairs import neighbours as lists
@@ -87,8 +88,7 @@ def save(path, state: State, more: dict, save_arrays=np.savez) -> None:
 
 def load(path) -> tuple[State, dict]:
     """Read what :func:`save` wrote; raises as :func:`load_state` does."""
-    if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"path is {path!r}; give a file name")
+    file_name(path, "path")
     try:
         with np.load(path) as file:
             saved = dict(file)

@@ -15,6 +15,12 @@ SELDOM = 60.0
 """Seconds between two lines where standard error is no terminal."""
 
 
+def bar(total: int, unit: str, shown: bool, **how) -> tqdm:
+    """A progress bar; a line now and then where standard error is no terminal."""
+    interval = 0.5 if sys.stderr.isatty() else SELDOM
+    return tqdm(total=total, unit=unit, disable=not shown, mininterval=interval, **how)
+
+
 class Progress:
     """Steps done of those planned, on standard error; what compiling takes is told, and no part of
     the rate or the time left. Where standard error is no terminal, a line now and then."""
@@ -26,13 +32,8 @@ class Progress:
     @functools.cached_property
     def _bar(self):
         # Once there is something to say: a run that is refused shows none.
-        return tqdm(
-            total=self.plan.steps,
-            initial=self.plan.until(self._begun),
-            unit="step",
-            disable=not self._shown,
-            mininterval=0.5 if sys.stderr.isatty() else SELDOM,
-        )
+        done = self.plan.until(self._begun)
+        return bar(self.plan.steps, "step", self._shown, initial=done)
 
     def begin(self, frames: int):
         """So many frames were done before."""

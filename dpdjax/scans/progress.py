@@ -5,7 +5,7 @@ import time
 
 from tqdm import tqdm
 
-from dpdjax.host.progress import SELDOM
+from dpdjax.host.progress import bar
 from dpdjax.scans.drive import Outcome
 
 
@@ -13,8 +13,7 @@ class Progress:
     """Runs done of those there are, particle-steps a second, time left; on standard error."""
 
     def __init__(self, runs: int, shown: bool):
-        interval = 0.5 if sys.stderr.isatty() else SELDOM
-        self._bar = tqdm(total=runs, unit="run", disable=not shown, mininterval=interval)
+        self._bar = bar(runs, "run", shown)
         self._shown, self._began, self._steps, self._failed = shown, time.monotonic(), 0, 0
 
     def advance(self, outcome: Outcome):

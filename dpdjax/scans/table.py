@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 import dpdjax
+from dpdjax import drawing
+from dpdjax.checks import file_name
 from dpdjax.engine.tables import xarray_module
 from dpdjax.errors import FileError
 from dpdjax.files.gsd import writing
@@ -22,26 +24,36 @@ from dpdjax.scans.grid import EACH, ENDINGS, ERROR, REPLICA, TAKEN, Grid, Unit
 
 OPEN, DONE, FAILED = 0, 1, 2
 """States of a replica."""
-KNOWN = {
-    "gamma": ("friction", "mass/time"),
-    "kT": ("thermal energy", "energy"),
-    "a": ("repulsion", "energy/length"),
-    "rate": ("shear rate", "1/time"),
-    "dt": ("time step", "time"),
-    "phi": ("volume fraction", "1"),
-    "box": ("side of the box", "length"),
-    "density": ("beads per volume", "1/length^3"),
-    "D0": ("depth of the attraction", "energy"),
-    "kappa": ("inverse range of the attraction", "1/length"),
-    "eta_0": ("viscosity of the solvent", "energy time/length^3"),
-    "viscosity": ("shear viscosity", "energy time/length^3"),
-    "diffusion": ("diffusion coefficient", "length^2/time"),
-    "temperature": ("kinetic temperature", "energy"),
-    "pressure": ("pressure", "energy/length^3"),
-    "contact_number": ("contacts of a colloid", "1"),
-    "largest_cluster": ("share of the colloids in the largest cluster", "1"),
+UNITS = drawing.UNITS | {
+    "dt": "time",
+    "phi": "1",
+    "box": "length",
+    "density": "1/length^3",
+    "D0": "energy",
+    "kappa": "1/length",
+    "eta_0": "energy time/length^3",
+    "contact_number": "1",
+    "largest_cluster": "1",
 }
-"""Long names and units of what scans often hold."""
+LONG_NAMES = {
+    "gamma": "friction",
+    "kT": "thermal energy",
+    "a": "repulsion",
+    "rate": "shear rate",
+    "dt": "time step",
+    "phi": "volume fraction",
+    "box": "side of the box",
+    "density": "beads per volume",
+    "D0": "depth of the attraction",
+    "kappa": "inverse range of the attraction",
+    "eta_0": "viscosity of the solvent",
+    "viscosity": "shear viscosity",
+    "diffusion": "diffusion coefficient",
+    "temperature": "kinetic temperature",
+    "contact_number": "contacts of a colloid",
+    "largest_cluster": "spheres in the largest cluster",
+}
+"""Units and long names of what scans often hold."""
 
 
 class Table:
@@ -174,8 +186,8 @@ class Store:
     """A table in a file that is written again, whole, as results come."""
 
     def __init__(self, path: str | os.PathLike | None, seconds: float = 1.0):
-        if path is not None and not isinstance(path, str | os.PathLike) or str(path) == "":
-            raise TypeError(f"store is {path!r}; give the name of a netCDF file")
+        if path is not None:
+            file_name(path, "store", "give the name of a netCDF file")
         self.path, self._seconds, self._last = path, seconds, -np.inf
         folder = os.path.dirname(os.fspath(path or "")) or "."
         if not os.path.isdir(folder):
@@ -299,8 +311,8 @@ def _over_replicas(value, error):
 
 
 def _attributes(name: str, before: str = "") -> dict:
-    long_name, unit = KNOWN.get(name, (name.replace("_", " "), ""))
-    return {"long_name": before + long_name} | ({"units": unit} if unit else {})
+    found = {"long_name": before + LONG_NAMES.get(name, name.replace("_", " "))}
+    return found | ({"units": UNITS[name]} if name in UNITS else {})
 
 
 def told_failures(table: Table) -> None:

@@ -10,6 +10,7 @@ import gsd.hoomd
 import jax
 import numpy as np
 import pytest
+from small import water_toml
 
 import dpdjax as dpd
 from dpdjax.cli import main
@@ -19,24 +20,9 @@ from dpdjax.files.frames import StoredFrames
 
 pytestmark = pytest.mark.filterwarnings("ignore:the ", "ignore:box side", "ignore:.*frames are")
 
-WATER = """
-[fluid]
-kT = 1.0
-{place}
-
-[[fluid.conservative]]
-law = "soft_repulsion"
-a = 25.0
-r_c = 1.0
-
-[[fluid.drag]]
-law = "central_drag"
-gamma = 4.5
-r_c = 1.0
-"""
 RUN = (
     "seed = 7\ndt = 0.01\n"
-    + WATER.format(place="box = 3.5\ndensity = 3.0\nskin = 0.3")
+    + water_toml("box = 3.5\ndensity = 3.0\nskin = 0.3")
     + """
 [flow]
 shear = 0.5
@@ -52,7 +38,7 @@ mean = ["stresses"]
 """
 )
 SCAN = (
-    WATER.format(place="")
+    water_toml()
     + """
 [scan]
 experiment = "Viscosity"
