@@ -157,7 +157,8 @@ def calibrate(
             given ``dpd.integrators.ImplicitDrag`` if that covers more time at the same accuracy: at
             strong drag between beads that hardly repel each other.
         rate: shear rate; by default ``suggest_rate``.
-        box: side of each box; by default 10 interaction ranges.
+        box: side of each box; by default 10 interaction ranges, and fewer, to 6, at tolerances
+            above 0.05.
         boxes: boxes in the batch.
         max_particle_steps: give up beyond.
         optimiser: an ``optax.GradientTransformation``, for several parameters.
@@ -187,7 +188,7 @@ def calibrate(
     fluid = fluid.set(energies="keep", **{parameter: guess})
     goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
     say(f"equilibrating {boxes} boxes")
-    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, integrator, say)
+    ensemble = _ensemble(fluid, goal, key, density, tolerance, box, boxes, dt, integrator, say)
     wanted = tolerance * abs(goal.target) / SIGMAS
 
     x, points, proposal = math.log(guess), [], None
@@ -278,7 +279,7 @@ def measure_viscosity(
     goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
     say = report or (lambda text: None)
     say(f"equilibrating {boxes} boxes")
-    ensemble = _ensemble(fluid, goal, key, density, box, boxes, dt, integrator, say)
+    ensemble = _ensemble(fluid, goal, key, density, tolerance, box, boxes, dt, integrator, say)
     settle = thermal_time(fluid)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
@@ -314,15 +315,25 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
         ensembles.append(
             _ensemble(
-                fluid, goal, jax.random.fold_in(key, k), density, box, boxes, dt, integrator, say
-            )
+                fluid,
+                goal,
+                jax.random.fold_in(key, k),
+                density,
+                tolerance,
+                box,
+                boxes,
+                dt,
+                integrator,
+                say,
+            )  # fmt: skip
         )
     return descend(fluid, parameters, ensembles, tolerance, optimiser, MAX_POINTS, say)
 
 
 def _measure_point(ensemble, fluid, parameter, x, error, first, most, say) -> Point:
     settle = (1.0 if first else 0.5) * thermal_time(fluid)
-    value = experiment.measure(ensemble, fluid, error, settle, int(most), say).estimate
+    far = experiment.FAR
+    value = experiment.measure(ensemble, fluid, error, settle, int(most), say, far).estimate
     windows = max(1, -(-SLOPE_SAMPLES // ensemble.state.position.shape[0]))
     (slope,) = experiment.measure_slopes(ensemble, fluid, (parameter,), windows)
     return Point(x, value, slope)
@@ -334,8 +345,20 @@ def _density(fluid, density) -> float:
     )
 
 
-def _ensemble(fluid, goal, key, density, box, boxes, dt, integrator, say):
-    side = 10.0 * max(fluid.reaches()) if box is None else box
+SIDES, LOOSE = (6.0, 10.0), 0.05
+"""Least and largest side of a box in interaction ranges, and the tolerance from which on the
+shortest runs in the largest one are better than was asked for."""
+
+
+def suggest_box(fluid: Fluid, tolerance: float) -> float:
+    """Side of the boxes for a tolerance: half the beads for twice the tolerance."""
+    least, largest = SIDES
+    side = max(least, largest * min(1.0, LOOSE / tolerance) ** (1 / 3))
+    return side * max(fluid.reaches())
+
+
+def _ensemble(fluid, goal, key, density, tolerance, box, boxes, dt, integrator, say):
+    side = suggest_box(fluid, tolerance) if box is None else box
     return experiment.prepare(
         fluid,
         goal,

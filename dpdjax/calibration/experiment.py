@@ -198,10 +198,15 @@ class Measurement:
         return f"{self.estimate} ({cost}, dt {self.dt:.3g}, rate {self.rate:.3g})"
 
 
+FAR = 8.0
+"""Standard errors off the target at which a point that only shows the way is good enough."""
+
+
 def measure(
-    ensemble: Ensemble, fluid, error: float, settle: float, most: int, report
+    ensemble: Ensemble, fluid, error: float, settle: float, most: int, report, far: float = math.inf
 ) -> Measurement:
-    """Run until the mean of the goal has the wanted standard error.
+    """Run until the mean of the goal has the wanted standard error, or is ``far`` of them off its
+    target.
 
     Args:
         ensemble: the boxes; they are moved along.
@@ -210,6 +215,7 @@ def measure(
         settle: time left out at the start.
         most: particle-steps at most.
         report: ``report(text)``, told of the progress.
+        far: by default no distance is far enough.
     """
     dt = ensemble.step_for(fluid)
     _check_dt(ensemble.system_of(fluid, dt), ensemble.state)
@@ -230,10 +236,11 @@ def measure(
         if len(series) < pieces and spent < most:
             continue
         estimate = _estimate(series, noise, ensemble.goal.scale, block)
-        report(f"{ensemble.goal.name} {estimate}, wanted error {error:.2g}")
-        if estimate.error <= error or spent >= most:
+        enough = max(error, abs(estimate.value - ensemble.goal.target) / far)
+        report(f"{ensemble.goal.name} {estimate}, wanted error {enough:.2g}")
+        if estimate.error <= enough or spent >= most:
             break
-        pieces = planned(len(series), estimate.error / error)
+        pieces = planned(len(series), estimate.error / enough)
     # What short runs of few beads scatter by is no heat.
     _tell_heat(ensemble, fluid, dt, np.mean(heat) - 2 * np.std(heat) / math.sqrt(len(heat)))
     count = len(series) * plan.frames

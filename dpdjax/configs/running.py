@@ -4,7 +4,6 @@ import concurrent.futures as futures
 import dataclasses
 import multiprocessing
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import dpdjax as dpd
 from dpdjax.checks import not_negative
 from dpdjax.configs.building import KINDS, MATTER, flow_of, fluid_of, made_of, observe_of, plan_of
 from dpdjax.configs.reading import Section, function_named, load
+from dpdjax.engine.compiling import Clock
 from dpdjax.errors import ConfigError
 
 TOP = ("seed", "float64", "dt", "integrator", "settle", "flow", "plan", "output")
@@ -42,7 +42,7 @@ def run_file(
 
 
 def _run(file: Section, text: str, path, out, hours, resume: bool, report, progress: bool):
-    began = time.monotonic()
+    clock = Clock()
     key = jax.random.key(file.get("seed", int, 0))
     output = file.table("output").only(*OUTPUT)
     target = Path(out or output.get("gsd", str) or f"{Path(path).stem}.gsd")
@@ -55,8 +55,7 @@ def _run(file: Section, text: str, path, out, hours, resume: bool, report, progr
     made = made_of(file, key, report)
     plan = plan_of(file.table("plan"), made)
     seconds = output.get("seconds", float, 60.0)
-    spent = lambda: (time.monotonic() - began) / 3600
-    left = lambda: None if hours is None else max(1e-9, hours - spent())
+    left = lambda: None if hours is None else max(1e-9, hours - clock.seconds / 3600)
     how = {"integrator": made.integrator, "progress": progress}
     saved = lambda name: dpd.Checkpoint(folder / name, seconds)
     rest = _settled(settle, made, key, saved("settle"), left(), how)
@@ -69,7 +68,7 @@ def _run(file: Section, text: str, path, out, hours, resume: bool, report, progr
         observe=observe, out=gsd, checkpoint=saved("run"), hours=left(), **how,
     )  # fmt: skip
     elapsed = float(ran.final.time) - float(rest.time)
-    return _came_to(ran, made, plan, elapsed, target, began), ran.complete
+    return _came_to(ran, made, plan, elapsed, target, clock), ran.complete
 
 
 def _precision(file: Section):
@@ -98,7 +97,7 @@ def _settled(section: Section, made, key, checkpoint, hours, how):
     return settled.final.restarted() if settled.complete else None
 
 
-def _came_to(ran, made, plan, elapsed: float, target: Path, began: float) -> dict:
+def _came_to(ran, made, plan, elapsed: float, target: Path, clock: Clock) -> dict:
     done = ran.frames
     count = len(done["step"]) if len(done) else 0
     result = {"frames": count, "of": plan.frames, "beads": ran.final.n, "dt": made.dt}
@@ -108,7 +107,8 @@ def _came_to(ran, made, plan, elapsed: float, target: Path, began: float) -> dic
     if count:
         heat = np.asarray(done["temperature"])
         result["temperature"] = float(heat[count // 2 :].mean())
-    return result | {"seconds": round(time.monotonic() - began, 1)}
+    spent = {"seconds": clock.seconds, "compile_seconds": clock.compile_seconds}
+    return result | {name: round(value, 1) for name, value in spent.items()}
 
 
 def scan_file(

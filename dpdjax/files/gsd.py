@@ -5,6 +5,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -215,16 +216,28 @@ def hoomd_files():
 @contextlib.contextmanager
 def reading(path):
     """A GSD file to read frames from; FileError for what is none."""
+    with _opened(path) as file:
+        yield file
+
+
+LOOKS = 3
+"""At a file that cannot be read before it counts as damaged. One that is being written cannot at
+some moments: gsd takes the size of it, and a frame that comes before it reads where frames are lies
+beyond that (3 of 225,000 looks at a file that grew by 20 frames 100 times in half a minute)."""
+
+
+def _opened(path):
     file_name(path, "path")
     hoomd = hoomd_files()
-    try:
-        file = hoomd.open(str(path), "r")
-    except FileNotFoundError:
-        raise
-    except (RuntimeError, OSError) as error:
-        raise FileError(f"{path} is no GSD file, or a damaged one: {error}") from error
-    with file:
-        yield file
+    for look in range(LOOKS):
+        try:
+            return hoomd.open(str(path), "r")
+        except FileNotFoundError:
+            raise
+        except (RuntimeError, OSError) as error:
+            if look == LOOKS - 1:
+                raise FileError(f"{path} is no GSD file, or a damaged one: {error}") from error
+        time.sleep(0.01)
 
 
 def check_fits(path, fluid, state, species: int | None = None) -> int:

@@ -88,17 +88,14 @@ def kills():
             frames.append(_frames(folder / "run.gsd"))
         assert _child(folder).wait() == 0
         ends = [Saved(f / "saved").load().state for f in (folder, folder / "whole")]
-        files = [StoredFrames(f / "run.gsd") for f in (folder, folder / "whole")]
         return {
             "kills": KILLS,
             "frames at each": frames,
-            "frames at the end": int(files[0].count),
+            "frames at the end": _frames(folder / "run.gsd"),
             "same final state, bits": all(
                 jnp.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, ends), strict=True)
             ),
-            "same frames, bits": all(
-                np.array_equal(files[0][name], files[1][name]) for name in files[1]
-            ),
+            "same frames, bits": _same_frames(folder / "run.gsd", folder / "whole" / "run.gsd"),
             "opened by": _opened(folder / "run.gsd"),
             "seconds, unbroken": unbroken,
             "seconds, killed": time.monotonic() - began,
@@ -119,6 +116,11 @@ def _frames(path) -> int:
 
     with gsd.hoomd.open(str(path), "r") as file:
         return len(file)
+
+
+def _same_frames(path, other) -> bool:
+    a, b = StoredFrames(path), StoredFrames(other)
+    return set(a) == set(b) and all(np.array_equal(a[name], b[name]) for name in b)
 
 
 def _opened(path) -> dict:
@@ -278,7 +280,80 @@ def _speed() -> float:
     return spent[0] / spent[1]
 
 
-ROOMS = {"kills": kills, "output": output, "scans": scans}
+LARGE = """
+[suspension]
+phi = 0.2
+box = 70.0
+kT = 0.1
+gamma = 45.0
+eta_0 = 0.95
+D0 = 0.6
+kappa = 30.0
+
+[plan]
+steps = 200
+every = 10
+
+[output]
+gsd = "large.gsd"
+checkpoint = "large.checkpoint"
+seconds = 0.0
+"""
+
+
+def large():
+    """A box of side 70 at phi .2, from a TOML file by ``dpdjax run``: to its first frame, killed
+    (-9) after that, gone on with, and against the unbroken run."""
+    with tempfile.TemporaryDirectory() as name:
+        broken, whole = (Path(name) / folder for folder in ("broken", "whole"))
+        found = {}
+        for folder in (whole, broken):
+            folder.mkdir()
+            (folder / "large.toml").write_text(LARGE)
+        began = time.monotonic()
+        process = _large(whole)
+        found["seconds to the first frame"] = _first_frame(whole / "large.gsd", process, began)
+        told, peak = _ended(process)
+        names = ("beads", "seconds", "compile_seconds", "frames", "temperature")
+        found |= {name: told[name] for name in names} | {"peak resident GB": peak}
+        process = _large(broken)
+        _first_frame(broken / "large.gsd", process, began)
+        time.sleep(5.0)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        found["frames when killed"] = _frames(broken / "large.gsd")
+        told, peak = _ended(_large(broken, "--resume"))
+        found |= {"frames in the end": told["frames"], "peak resident GB, resumed": peak}
+        return found | {
+            "same frames, bits": _same_frames(broken / "large.gsd", whole / "large.gsd")
+        }
+
+
+def _large(folder: Path, *more: str):
+    """``dpdjax run``, which compiles what it needs."""
+    command = [sys.executable, "-m", "dpdjax.cli", "run", "large.toml", "--json", "--no-cache"]
+    return subprocess.Popen(
+        [*command, *more], cwd=folder, stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": str(HERE.parent.parent)},
+    )  # fmt: skip
+
+
+def _first_frame(path: Path, process, began: float) -> float:
+    while not _frames(path):
+        assert process.poll() is None, "it ended without a frame"
+        time.sleep(0.1)
+    return time.monotonic() - began
+
+
+def _ended(process) -> tuple[dict, float]:
+    """What a process said, and the most memory that it held [GB]."""
+    said = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    assert status == 0, said
+    return json.loads(said), usage.ru_maxrss * 1024 / 1e9
+
+
+ROOMS = {"kills": kills, "output": output, "scans": scans, "large": large}
 
 
 def page(data: dict):

@@ -265,7 +265,7 @@ def noisy_boxes(monkeypatch, seed, memory=0.5):
     monkeypatch.setattr(experiment, "remembered", lambda *_: experiment.REMEMBERED)
     monkeypatch.setattr(experiment, "piece", lambda *_: experiment.PIECE)
     flow = Flow.of(dpd.shear(0.3))
-    goal = SimpleNamespace(name="number", scale=-1.0, observe=never, flow=flow)
+    goal = SimpleNamespace(name="number", target=2.0, scale=-1.0, observe=never, flow=flow)
     state = Boxes(np.zeros((4, 10, 3)), np.zeros(4, np.uint32))
     return experiment.Ensemble(None, goal, 3.0, state, None, dt=0.01)
 
@@ -294,6 +294,15 @@ def test_measurement_ends_where_the_steps_do(monkeypatch):
         noisy_boxes(monkeypatch, 0), None, 1e-4, 0.0, 10**6, lambda text: None
     )
     assert measured.particle_steps == 10**6 and measured.estimate.error > 1e-4
+
+
+def test_a_measurement_far_off_the_target_ends_early(monkeypatch):
+    """The value is 1 and 2 is wanted: an error of an eighth shows the way."""
+    boxes = noisy_boxes(monkeypatch, 0)
+    measured = experiment.measure(boxes, None, 1e-4, 0.0, 10**9, lambda text: None, far=8.0)
+    assert 0.01 < measured.estimate.error < 0.13
+    assert measured.series.shape[1] < 500
+    assert measured.estimate.deviation(1.0) < 3
 
 
 def test_run_that_breaks_stops_the_calibration(monkeypatch):

@@ -51,7 +51,8 @@ def measure(monkeypatch):
         return ensemble.stress.frames(plan.frames)
 
     def measured(seed, error, fluid=None):
-        goal = SimpleNamespace(name="viscosity", scale=1.0, flow=Flow.of(dpd.shear(0.25)))
+        flow = Flow.of(dpd.shear(0.25))
+        goal = SimpleNamespace(name="viscosity", target=EXACT, scale=1.0, flow=flow)
         boxes = experiment.Ensemble(
             None, goal, 3.0, SimpleNamespace(position=np.zeros((2, 10, 3))), None, dt=0.01
         )

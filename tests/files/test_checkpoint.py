@@ -16,6 +16,7 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.files import checkpoint as points
+from dpdjax.files.gsd import reading
 
 host = sys.modules[dpd.stream.__module__]
 PLAN, FLOW, DT = dpd.Plan(12, 5), dpd.shear(0.3), 0.01
@@ -238,7 +239,7 @@ def wait_for(path, frames=40):
     """Until a file holds so many frames, read as it is written."""
     for _ in range(1200):
         if path.exists():
-            with gsd.hoomd.open(str(path), "r") as file:
+            with reading(path) as file:
                 if len(file) >= frames:
                     return
         time.sleep(0.05)
