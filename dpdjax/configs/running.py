@@ -52,20 +52,20 @@ def _run(file: Section, text: str, path, out, hours, resume: bool, report, progr
         _refuse_old(target, folder)
     observe, flow = observe_of(output), flow_of(file.table("flow"))
     settle = file.table("settle").only("time", "without")
+    seconds = output.get("seconds", float, 60.0)
+    saved = [output.guarded(lambda: dpd.Checkpoint(folder / x, seconds)) for x in ("settle", "run")]
+    gsd = dpd.GSD(target, species=output.get("species", int), about={"toml": text})
     made = made_of(file, key, report)
     plan = plan_of(file.table("plan"), made)
-    seconds = output.get("seconds", float, 60.0)
     left = lambda: None if hours is None else max(1e-9, hours - clock.seconds / 3600)
     how = {"integrator": made.integrator, "progress": progress}
-    saved = lambda name: dpd.Checkpoint(folder / name, seconds)
-    rest = _settled(settle, made, key, saved("settle"), left(), how)
+    rest = _settled(settle, made, key, saved[0], left(), how)
     if rest is None:
         return {"frames": 0, "file": str(target)}, False
     os.makedirs(target.parent, exist_ok=True)
-    gsd = dpd.GSD(target, species=output.get("species", int), about={"toml": text})
     ran = dpd.run(
         made.fluid, rest, key, made.dt, plan, flow or None,
-        observe=observe, out=gsd, checkpoint=saved("run"), hours=left(), **how,
+        observe=observe, out=gsd, checkpoint=saved[1], hours=left(), **how,
     )  # fmt: skip
     elapsed = float(ran.final.time) - float(rest.time)
     return _came_to(ran, made, plan, elapsed, target, clock), ran.complete

@@ -297,7 +297,7 @@ every = 10
 [output]
 gsd = "large.gsd"
 checkpoint = "large.checkpoint"
-seconds = 0.0
+seconds = 0.001
 """
 
 
