@@ -77,6 +77,7 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
             0.01,
             float(ensemble.goal.flow.rate),
             ensemble.steps,
+            temperature=float(fluid.kT),
         )
 
     def measure_slopes(ensemble, fluid, names, windows):

@@ -11,13 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from odd import ALIKE, LONGEST
 from small import water_toml
 
 import dpdjax as dpd
 from dpdjax.configs.running import run_file
 
-LONGEST = 900
-"""Characters of a message, at most: a page is none."""
 ODD = {
     "none": None,
     "true": True,
@@ -58,13 +57,6 @@ OTHERWISE = {
     "observe": ["<lambda>()", "dict"],
 }
 """What an argument may be called in a message."""
-ALIKE = hypothesis.settings(
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=list(hypothesis.HealthCheck),
-)
-"""The same examples every time, however long they take."""
 KEY = jax.random.key(0)
 SOFT = {"a": 25.0, "r_c": 1.0}
 RUB = {"gamma": 4.5, "r_c": 1.0}
