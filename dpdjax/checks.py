@@ -31,14 +31,15 @@ def number(value, name: str):
 
 def _refuse_unrepresentable(exact, array, value, name):
     """Raise ValueError where a number is not finite, or is not a normal number of the default
-    precision."""
+    precision; in double precision, where the host takes powers in the same, one whose cube is."""
     if not np.all(np.isfinite(exact)):
         raise ValueError(f"{name} is {value}; it must be finite")
-    kind = np.finfo(array.dtype)
-    if np.any(np.abs(exact) > kind.max) or np.any((exact != 0) & (np.abs(exact) < kind.tiny)):
+    kind, power = np.finfo(array.dtype), 1 / 3 if array.dtype == np.float64 else 1
+    least, largest = float(kind.tiny) ** power, float(kind.max) ** power
+    if np.any(np.abs(exact) > largest) or np.any((exact != 0) & (np.abs(exact) < least)):
         raise ValueError(
-            f"{name} is {value}, which {array.dtype} cannot hold (from {kind.tiny:.2g} to "
-            f"{kind.max:.2g}): choose units in which kT, masses and reaches are nearer 1, see "
+            f"{name} is {value}, which {array.dtype} cannot hold (from {least:.2g} to "
+            f"{largest:.2g}): choose units in which kT, masses and reaches are nearer 1, see "
             "dpd.water_units"
         )
 

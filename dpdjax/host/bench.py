@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.checks import positive, whole
 from dpdjax.engine import order
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.simulate import simulate
@@ -58,8 +59,14 @@ def bench(
 
     Returns a dict of ``particle_steps_per_second``, ``rebuild_seconds``, ``steps_per_rebuild``,
     ``compile_seconds``, ``peak_memory_bytes`` (of the device; of the process on a CPU),
-    ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too.
+    ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too. Raises ValueError
+    for numbers that cannot be.
     """
+    counts = {"beads": beads, "batch": batch, "repeats": repeats}
+    beads, batch, repeats = (whole(value, name) for name, value in counts.items())
+    positive(density, "density")
+    if steps is not None:
+        whole(steps, "steps")
     steps = _even(max(10, min(200, LONGEST / (beads * batch))) if steps is None else steps)
     state, keys = _settled(fluid, key, beads, density, batch, skin, dt, integrator)
     plain = _Program(_plain(dt, steps, integrator), fluid, state, keys)

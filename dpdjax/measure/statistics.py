@@ -27,6 +27,8 @@ class Estimate:
         if not (math.isfinite(self.error) and self.error > 0):
             return f"{self.value:.6g} +- {self.error:.2g}"
         digits = max(0, 1 - math.floor(math.log10(self.error)))
+        if abs(self.value) >= 1e15 or digits > 15:
+            return f"{self.value:.6g} +- {self.error:.2g}"
         return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
 
     __repr__ = __str__

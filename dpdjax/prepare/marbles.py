@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import positive, prng_key
+from dpdjax.checks import positive, prng_key, whole
 from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
@@ -20,7 +20,7 @@ from dpdjax.model.summary import as_table, energies_in_kT, written
 from dpdjax.pairs import box as boxes
 from dpdjax.prepare import packing
 from dpdjax.prepare.cores import closest
-from dpdjax.prepare.start import placed, plan_lists
+from dpdjax.prepare.start import beads_in, placed, plan_lists
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -133,8 +133,7 @@ def marbles(
     have.
     """
     key = prng_key(key)
-    if int(count) != count or count < 1:
-        raise ValueError(f"count is {count!r}; it must be a whole number of at least 1")
+    count = whole(count, "count")
     r_c = float(positive(numbers.get("r_c", 1.0), "r_c"))
     radius, density = (
         3.0 * r_c if radius is None else radius,
@@ -142,10 +141,11 @@ def marbles(
     )
     fluid = marble_fluid(radius=radius, density=density, is_several=count > 1, **numbers)
     lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
+    beads_in(lengths, density)
     space, volume, radii = (
         boxes.box(lengths),
         float(np.prod(lengths)),
-        np.full(int(count), float(radius)),
+        np.full(count, float(radius)),
     )
     free = volume - float(sphere_volume(radii).sum())
     if free <= 0:
@@ -155,7 +155,7 @@ def marbles(
         )
     # Outside the wall, where its energy is at most kT.
     clearance = float(closest(fluid, most=1.0)[SOLVENT, COLLOID])
-    counts = (math.floor(float(density) * free * (1 + 1e-9)), int(count))
+    counts = (math.floor(float(density) * free * (1 + 1e-9)), count)
     integrator, dt = suited(fluid, np.asarray(counts) / volume, integrator=integrator, dt=dt)
     grids = plan_lists(fluid, space, counts, skin=skin, dt=dt, sheared=sheared)
     position = packing.arrange(

@@ -192,7 +192,7 @@ def _counts(fluid, lengths, density, n, fractions):
     if n is not None and np.ndim(n) == 1:
         counts = [whole(c, "n", least=0) for c in n]
     else:
-        total = _total(lengths, density) if n is None else whole(n, "n")
+        total = round(beads_in(lengths, density)) if n is None else whole(n, "n")
         counts = _shares(total, fluid.species, fractions)
     if len(counts) != fluid.species:
         raise ValueError(f"{len(counts)} counts for a fluid of {fluid.species} species")
@@ -203,12 +203,13 @@ def _counts(fluid, lengths, density, n, fractions):
     return counts
 
 
-def _total(lengths, density) -> int:
-    """Beads in all; ValueError for more than can be counted."""
-    total = plain(density, "density", positive) * float(lengths.prod())
+def beads_in(lengths, density) -> float:
+    """Beads in a box; ValueError for more than can be counted."""
+    with np.errstate(over="ignore"):
+        total = plain(density, "density", positive) * float(np.prod(lengths))
     if not total < MOST_BEADS:
         raise ValueError(f"box and density make {total:.3g} beads; give a smaller box or density")
-    return round(total)
+    return total
 
 
 def _shares(total, species, fractions):

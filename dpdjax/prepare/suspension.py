@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import positive, prng_key
+from dpdjax.checks import positive, prng_key, whole
 from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
@@ -19,7 +19,7 @@ from dpdjax.model.summary import as_table, energies_in_kT
 from dpdjax.pairs import box as boxes
 from dpdjax.pairs.noise import Domain
 from dpdjax.prepare import packing
-from dpdjax.prepare.start import placed, plan_lists
+from dpdjax.prepare.start import MOST_BEADS, beads_in, placed, plan_lists
 
 CUT_SIZES = 3.0
 """Gaussian sizes are drawn again beyond this many standard deviations."""
@@ -153,6 +153,7 @@ def suspension(
     if phi >= 1:
         raise ValueError(f"phi is {phi:g}; it must be below 1, and can be packed up to about 0.45")
     radii, lengths = _radii_and_sides(key, phi, box, colloids, radius, spread)
+    beads_in(lengths, density)
     mean = float(np.mean(radii)) if np.ndim(radius) else float(radius)
     fluid = colloid_fluid(radius=mean, density=density, **numbers)
     positive(fluid.kT, "kT", "without it there is no diffusion time to tell results in")
@@ -196,14 +197,23 @@ def _radii_and_sides(key, phi, box, colloids, radius, spread):
     positive(radius, "radius")
     if box is not None:
         lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
-        colloids = round(phi * lengths.prod() / (sphere_volume(radius) * (1 + 3 * spread**2)))
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            each = np.float64(sphere_volume(radius)) * (1 + 3 * spread**2)
+            wanted = phi * np.prod(lengths) / each
+        if not wanted < MOST_BEADS:
+            raise ValueError(
+                f"phi {phi:g} of radius {radius:g} makes {wanted:.3g} colloids in this box; use a "
+                "smaller box or a larger radius"
+            )
+        colloids = round(wanted)
         if colloids < 1:
             raise ValueError(
                 f"phi {phi:g} is less than one colloid of radius {radius:g} in this box; use a "
                 "larger box"
             )
         return radius * _sizes(key, colloids, spread), lengths
-    radii = np.asarray(radius, float) if given else radius * _sizes(key, int(colloids), spread)
+    colloids = whole(colloids, "colloids", most=MOST_BEADS)
+    radii = np.asarray(radius, float) if given else radius * _sizes(key, colloids, spread)
     return radii, np.full(3, (sphere_volume(radii).sum() / phi) ** (1 / 3))
 
 
