@@ -29,14 +29,29 @@ def main(argv=None) -> int:
         print(json.dumps(result))
     else:
         print(arguments.readable(result))
-    if arguments.plot:
+    if result.get("stopped"):
+        status = STOPPED
+    else:
+        status = FAILED if result.get("failed") else 0
+    return _drawn(figure, arguments) or status if arguments.plot else status
+
+
+def _drawn(figure, arguments) -> int:
+    """Write the picture; the exit status where there is none to be drawn."""
+    try:
         figure().figure.savefig(arguments.plot, dpi=150, bbox_inches="tight")
-        print(f"wrote {arguments.plot}", file=sys.stderr)
-    return STOPPED if result.get("stopped") else 0
+    except (ValueError, OSError) as error:
+        print(f"dpdjax {arguments.command}: --plot {arguments.plot}: {error}", file=sys.stderr)
+        return 2
+    print(f"wrote {arguments.plot}", file=sys.stderr)
+    return 0
 
 
-STOPPED = 75
-"""Exit status of a run that was ended before its plan, and can be gone on with."""
+STOPPED, FAILED = 75, 1
+"""Exit status of a run that was ended before its plan, and can be gone on with; and of a scan some
+runs of which failed."""
+FORMATS = ("png", "pdf", "svg", "eps", "ps", "jpg", "jpeg", "tif", "tiff", "webp")
+"""Endings of pictures."""
 
 
 def _keep_programs():
@@ -58,6 +73,8 @@ def _check_plot(path):
     folder = os.path.dirname(path) or "."
     if not os.path.isdir(folder):
         raise ValueError(f"--plot {path}: there is no folder {folder}")
+    if path.rpartition(".")[2] not in FORMATS:
+        raise ValueError(f"--plot {path}: give a name in .png, .pdf or .svg")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -145,6 +162,8 @@ def _of_files(commands):
     scan.add_argument(
         "--workers", metavar="n", type=int, default=None, help="processes of their own"
     )
+    scan.add_argument("--retry", action="store_true", help="do again what failed")
+    scan.add_argument("--csv", metavar="FILE.csv", default=None, help="write the points as text")
     scan.add_argument("--plot", metavar="FILE.png", default=None, help="draw the table into a file")
     merge = commands.add_parser("merge", help="the tables of the parts of a scan as one")
     merge.add_argument("parts", metavar="PART.nc", nargs="+")
@@ -183,6 +202,7 @@ def _run(arguments):
 
 def _scan(arguments):
     from dpdjax.configs.running import scan_file
+    from dpdjax.scans.table import points_of
 
     result, is_complete = scan_file(
         arguments.config,
@@ -190,16 +210,23 @@ def _scan(arguments):
         hours=arguments.hours,
         shard=arguments.shard,
         workers=arguments.workers,
+        retry=arguments.retry,
         progress=not arguments.json,
     )
     table = result.pop("table")
+    points = points_of(table)
+    if arguments.csv:
+        points.to_csv(arguments.csv, index=False)
+    shown = points.to_dict("records") if arguments.json else f"\n{points.to_string(index=False)}"
 
     def figure():
         import dpdjax as dpd
 
-        return dpd.plot_scan(table)
+        is_curve = "rate" in table.dims and "viscosity" in table
+        return dpd.plot_flow_curve(table) if is_curve else dpd.plot_scan(table)
 
-    return result | ({} if is_complete else {"stopped": True}), figure
+    stopped = {} if is_complete else {"stopped": True}
+    return result | {"points": shown} | stopped, figure
 
 
 def _merge(arguments):

@@ -2,6 +2,8 @@
 
 import re
 
+import numpy as np
+
 UNITS = {
     "time": "time",
     "temperature": "energy",
@@ -49,6 +51,13 @@ def panels(count: int):
     return figure.subplots(count, sharex=True, squeeze=False)[:, 0]
 
 
+def grows(time) -> bool:
+    """Whether times are further and further apart, as those of what ages."""
+    time = np.ravel(time)
+    apart = np.diff(time)
+    return len(time) > 4 and time[0] > 0 and apart[-1] > 5 * apart[0] > 0
+
+
 def curve(ax, x, y, error, xlabel: str, ylabel: str):
     """A line in a band of one standard error; returns the axes, new ones for None."""
     ax = axes(ax)
@@ -60,11 +69,11 @@ def curve(ax, x, y, error, xlabel: str, ylabel: str):
 
 def plain_log_ticks(ax, which: str = "x"):
     """Numbers in full along a logarithmic axis, ``"x"`` or ``"y"``."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 
     axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     low, high = axis.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high / low > 10 else (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9)
-    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_locator(MaxNLocator(5) if high / low < 2.5 else LogLocator(subs=subs))
     axis.set_major_formatter(ScalarFormatter())
     axis.set_minor_formatter(NullFormatter())

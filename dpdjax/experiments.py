@@ -10,13 +10,16 @@ from typing import Any
 import jax
 import numpy as np
 
+from dpdjax.checks import not_negative, positive
 from dpdjax.engine.choice import suited
 from dpdjax.engine.deformation import shear
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.observables import positions, positions_of, standard
 from dpdjax.engine.trajectory import Plan
+from dpdjax.errors import RunError
 from dpdjax.measure.clusters import clusters
 from dpdjax.measure.contacts import contact_number
+from dpdjax.measure.needs import HOT
 from dpdjax.measure.statistics import Estimate, block_average
 from dpdjax.measure.transport import diffusion as diffusion_of
 from dpdjax.measure.viscosity import shear_record, shear_viscosity
@@ -59,6 +62,9 @@ class _OfFluid:
         dt: time step; by default the one suggested.
         integrator: by default the one that covers most time for its cost.
         energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
+
+    Raises ValueError for numbers that cannot be, RunError for a fluid that the flow or too long a
+    step keeps far from kT.
     """
 
     fluid: Fluid
@@ -72,7 +78,11 @@ class _OfFluid:
 
     def at(self, point: dict) -> tuple[Any, dict]:
         """The experiment with the values of a point, and those that are of the fluid."""
-        return _at(self, point, "fluid")
+        own, numbers = _at(self, point, "fluid")
+        _refuse_unknown(own, numbers)
+        positive(own.time, "time")
+        not_negative(own.settle, "settle")
+        return own, numbers
 
     def settled(self, key, numbers: dict):
         """A generator that asks for the run to rest, and returns fluid, state, step and method."""
@@ -89,6 +99,28 @@ class _OfFluid:
         """Of the run that is measured."""
         return _planned(self.time / dt)
 
+    def heat(self, ran, fluid) -> Estimate:
+        """The temperature of a run; RunError where its numbers are of another fluid."""
+        found = block_average(ran.frames["temperature"])
+        if found.value > (1 + HOT) * float(fluid.kT):
+            raise RunError(
+                f"the beads are at a temperature of {found.value:.3g} where kT is "
+                f"{float(fluid.kT):g}: give a smaller rate, or a smaller dt",
+                None,
+            )
+        return found
+
+
+def _refuse_unknown(experiment, numbers: dict):
+    """Raise TypeError for a name that is none of the experiment's or of its fluid's."""
+    fluid = experiment.fluid
+    own = [f.name for f in dataclasses.fields(experiment) if f.name != "fluid"]
+    for name in numbers:
+        try:
+            fluid.value(name)
+        except TypeError as error:
+            raise TypeError(f"{error}; and the experiment has {', '.join(own)}") from None
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Viscosity(_OfFluid):
@@ -96,13 +128,23 @@ class Viscosity(_OfFluid):
 
     Attributes:
         rate: shear rate [1/time].
+        strain: what is measured over, in place of ``time``: a constant one gives all points of a
+            flow curve errors of one order.
+        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
+            beads per volume, in a box of this side, measured over this time [time] after settling
+            for another, by a step and an integrator that are chosen for it unless given; another
+            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
     """
 
     rate: float = 0.2
+    strain: float | None = None
 
     def __call__(self, key: jax.Array, **point):
         """Ask for the runs at a point."""
         own, numbers = self.at(point)
+        positive(abs(own.rate), "rate", "at rest there is no viscosity to be read")
+        if own.strain is not None:
+            own = dataclasses.replace(own, time=positive(own.strain, "strain") / abs(own.rate))
         fluid, state, dt, how = yield from own.settled(key, numbers)
         flow = shear(own.rate)
         # Until the flow has come about.
@@ -110,7 +152,7 @@ class Viscosity(_OfFluid):
         ran = yield Run(
             fluid, late.final, key, dt, own.plan(dt), flow, observe=shear_record, integrator=how
         )
-        heat = block_average(ran.frames["temperature"])
+        heat = own.heat(ran, fluid)
         return {"viscosity": shear_viscosity(ran, skip=0.0), "temperature": heat}
 
 
@@ -121,6 +163,10 @@ class Diffusion(_OfFluid):
     Attributes:
         fit: lags of the mean squared displacement that are fitted [time]; by default the
             eighth of ``time`` that is last of those that tell, as :func:`dpdjax.diffusion` has it.
+        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
+            beads per volume, in a box of this side, measured over this time [time] after settling
+            for another, by a step and an integrator that are chosen for it unless given; another
+            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
     """
 
     fit: tuple[float, float] | None = None
@@ -133,13 +179,20 @@ class Diffusion(_OfFluid):
             fluid, state, key, dt, own.plan(dt), observe=[standard, positions], integrator=how
         )
         lags = {} if own.fit is None else {"fit": own.fit}
-        heat = block_average(ran.frames["temperature"])
+        heat = own.heat(ran, fluid)
         return {"diffusion": diffusion_of(ran, **lags), "temperature": heat}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pressure(_OfFluid):
-    """``pressure`` and ``temperature`` of a fluid at rest: its equation of state."""
+    """``pressure`` and ``temperature`` of a fluid at rest: its equation of state.
+
+    Attributes:
+        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
+            beads per volume, in a box of this side, measured over this time [time] after settling
+            for another, by a step and an integrator that are chosen for it unless given; another
+            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
+    """
 
     def __call__(self, key: jax.Array, **point):
         """Ask for the runs at a point."""
@@ -148,7 +201,7 @@ class Pressure(_OfFluid):
         ran = yield Run(fluid, state, key, dt, own.plan(dt), integrator=how)
         tensor = np.asarray(ran.frames["pressure_tensor"])
         mean = np.trace(tensor, axis1=-2, axis2=-1) / 3
-        heat = block_average(ran.frames["temperature"])
+        heat = own.heat(ran, fluid)
         return {"pressure": block_average(mean), "temperature": heat}
 
 

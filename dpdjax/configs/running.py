@@ -118,6 +118,7 @@ def scan_file(
     hours: float | None = None,
     shard: tuple[int, int] | None = None,
     workers: int | None = None,
+    retry: bool = False,
     progress: bool = True,
 ) -> tuple[dict, bool]:
     """Scan what a file says; returns what it came to, and whether nothing is missing.
@@ -127,10 +128,12 @@ def scan_file(
     file, text = load(path)
     file.only("seed", "float64", "fluid", "scan")
     with _precision(file):
-        return _scan(file, text, path, out, hours, shard, workers, progress)
+        return _scan(
+            file, text, path, out, workers, progress, shard=shard, hours=hours, retry=retry
+        )
 
 
-def _scan(file: Section, text: str, path, out, hours, shard, workers, progress: bool):
+def _scan(file: Section, text: str, path, out, workers, progress: bool, *, shard, **more):
     section = file.table("scan").only("experiment", "settings", "grid", "replicas", "store")
     experiment = _experiment(section, file)
     store = Path(out or section.get("store", str) or f"{Path(path).stem}.nc")
@@ -138,7 +141,10 @@ def _scan(file: Section, text: str, path, out, hours, shard, workers, progress: 
         store = store.with_name(f"{store.stem}-{shard[0]}of{shard[1]}{store.suffix}")
     key = jax.random.key(file.get("seed", int, 0))
     grid = section.table("grid")
-    how = {"key": key, "replicas": section.get("replicas", int, 1), "shard": shard, "hours": hours}
+    twice = sorted(set(grid.values) & set(section.table("settings").values))
+    if twice:
+        raise ConfigError(f"{', '.join(twice)} is in [scan.grid] and in [scan.settings]; give one")
+    how = {"key": key, "replicas": section.get("replicas", int, 1), "shard": shard} | more
     go = lambda executor: section.guarded(
         lambda: dpd.scan(
             experiment, grid.values, store=store, executor=executor, progress=progress,

@@ -120,8 +120,11 @@ class State:
         return self.position + self.image * lengths[..., None, :] + tilted
 
     def restarted(self) -> "State":
-        """The same beads with the force forgotten: the next run computes it from its own fluid."""
-        return dataclasses.replace(self, started=jnp.zeros_like(self.started))
+        """The same beads for a run of its own: the force is forgotten, which the next run computes
+        from its own fluid, and its clock starts at 0, so that times are ages. Steps count on, so
+        that noise of the same key does not repeat."""
+        zero = {name: jnp.zeros_like(getattr(self, name)) for name in ("started", "time")}
+        return dataclasses.replace(self, **zero, time_rest=jnp.zeros_like(self.time_rest))
 
 
 # One program: operation by operation, a first list takes seconds to compile.

@@ -275,7 +275,7 @@ class Trajectory:
         if not self.is_batch:
             raise TypeError(
                 "this trajectory is no batch and has no members to choose from; its frames are in "
-                ".frames"
+                ".frames, and trajectory.last(count) has the last of them"
             )
         members = self.final.position.shape[0]
         slots = np.arange(members)[which]
@@ -294,6 +294,20 @@ class Trajectory:
         new = {"final": final, "frames": frames, "system": self.system.member(slots)}
         complete = self.complete and not (failed and np.ndim(slots) == 0)
         return dataclasses.replace(self, **new, complete=complete, failed=failed)
+
+    def last(self, count: int) -> "Trajectory":
+        """The run with the last frames alone, for measures that average over frames: of one that
+        ages, its end. ValueError for more than there are."""
+        axis = 1 if self.is_batch else 0
+        frames = np.shape(self.frames["time"])[axis]
+        if whole(count, "count") > frames:
+            raise ValueError(f"count is {count}, and the run has {frames} frames")
+        if hasattr(self.frames, "last"):
+            return dataclasses.replace(self, frames=self.frames.last(count))
+        later = lambda values: values[:, -count:] if axis else values[-count:]
+        return dataclasses.replace(
+            self, frames={name: later(values) for name, values in self.frames.items()}
+        )
 
     @property
     def survivors(self) -> "Trajectory":

@@ -1,5 +1,6 @@
 """What a run recorded, read from its GSD file when it is asked for."""
 
+import copy
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -21,7 +22,7 @@ class StoredFrames(Mapping):
     """
 
     def __init__(self, path: str | os.PathLike, begin: int = 0):
-        self.path, self.begin = os.path.abspath(path), begin
+        self.path, self.begin, self.skip = os.path.abspath(path), begin, 0
         with reading(path) as file:
             self.about = about(file, begin)
             self.count = max(0, int(len(file)) - begin)
@@ -40,13 +41,20 @@ class StoredFrames(Mapping):
         own |= {name: tuple(shape) for name, (shape, _) in self._logged.items()}
         return {name: (self.count, *map(int, shape)) for name, shape in own.items()}
 
+    def last(self, count: int) -> "StoredFrames":
+        """The last so many frames alone."""
+        later = copy.copy(self)
+        later.skip = self.count - count
+        later.shapes = {name: (count, *shape[1:]) for name, shape in self.shapes.items()}
+        return later
+
     def __contains__(self, name) -> bool:
         return name in self.shapes
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.shapes:
             raise KeyError(name)
-        numbers = range(self.begin, self.begin + self.count)
+        numbers = range(self.begin + self.skip, self.begin + self.count)
         with reading(self.path) as file:
             self._check_same(file)
             if name in self._logged:

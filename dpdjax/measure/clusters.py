@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from dpdjax.drawing import curve
+from dpdjax.drawing import curve, grows
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
@@ -47,14 +47,10 @@ class Clusters:
     def plot(self, ax=None):
         """Draw the largest cluster against time, with the error over replicas; returns the
         matplotlib axes."""
-        return curve(
-            ax,
-            self.time,
-            self.largest.mean(axis=0),
-            standard_error(self.largest),
-            "t [time]",
-            "largest cluster",
-        )
+        mean, error = self.largest.mean(axis=0), standard_error(self.largest)
+        ax = curve(ax, self.time, mean, error, "t [time]", "largest cluster")
+        ax.set_xscale("log" if grows(self.time) else "linear")
+        return ax
 
 
 def clusters(what: Trajectory | Spheres, *, gap: float | None = None) -> Clusters:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from dpdjax.checks import positive
-from dpdjax.drawing import axes, curve
+from dpdjax.drawing import axes, curve, grows
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
@@ -45,8 +45,11 @@ class ContactNumber:
         return ax
 
     def plot_series(self, ax=None, *, tau: float | None = None):
-        """Draw the contacts of a sphere against time, with the error over replicas; returns the
-        matplotlib axes.
+        """Draw the contacts of a sphere against the time of the run's clock, with the error over
+        replicas, logarithmic where frames are further and further apart; returns the matplotlib
+        axes.
+
+        The clock counts from where the state was made or ``state.restarted()``, as a quench is.
 
         Args:
             ax: matplotlib axes, or None for new ones.
@@ -56,7 +59,9 @@ class ContactNumber:
             positive(tau, "tau")
         time, label = (self.time, "t [time]") if tau is None else (self.time / tau, "t/tau")
         mean, error = self.series.mean(axis=0), standard_error(self.series)
-        return curve(ax, time, mean, error, label, "contact number")
+        ax = curve(ax, time, mean, error, label, f"contact number, gaps below {self.gap:.3g}")
+        ax.set_xscale("log" if grows(time) else "linear")
+        return ax
 
 
 def contact_number(what: Trajectory | Spheres, *, gap: float | None = None) -> ContactNumber:

@@ -22,7 +22,7 @@ from dpdjax.host.stops import Stop, stopping
 from dpdjax.scans.drive import Cancelled, Outcome, driven, driven_together
 from dpdjax.scans.grid import Grid, Unit
 from dpdjax.scans.progress import Progress
-from dpdjax.scans.table import Store, Table, told_failures
+from dpdjax.scans.table import OWN, Store, Table, told_failures
 from dpdjax.xla import on_cpu
 
 WAKE = 0.5
@@ -64,7 +64,8 @@ def scan(
         experiment: what is done at a point.
         grid: values by name; arguments of the experiment, numbers or words.
         key: a PRNG key, from which each replica has its own.
-        replicas: runs at each point with keys of their own; their scatter is the standard error.
+        replicas: runs at each point with keys of their own. The standard error of their mean is
+            the larger of what their own errors come to and of their scatter, widened for few.
         store: a netCDF file that holds the table at every moment. The same call does what is
             missing in it, one with a larger grid or more replicas what is new.
         executor: runs the replicas elsewhere, such as ``ProcessPoolExecutor(4,
@@ -78,7 +79,8 @@ def scan(
         about: texts that the table is to hold as attributes.
 
     Returns an ``xarray.Dataset``: of each number the mean and its standard error (``..._error``),
-    each replica (``..._each``), status and reason; units and provenance as attributes.
+    each replica (``..._each``), status (0 open, 1 done, 2 failed) and reason; units and provenance
+    as attributes, and ``complete``: 0 after an early end, when some means are of fewer replicas.
 
     Raises TypeError or ValueError for what is no grid, FileError for a store of another scan.
     """
@@ -119,8 +121,8 @@ def scan(
 
 def _texts(about: Mapping[str, str]) -> dict[str, str]:
     for name, text in about.items():
-        if not isinstance(text, str) or name in ("dpdjax", "made_by"):
-            raise TypeError(f"about has {name} = {text!r}; give texts, not under dpdjax or made_by")
+        if not isinstance(text, str) or name in OWN:
+            raise TypeError(f"about has {name} = {text!r}; give texts, not under {', '.join(OWN)}")
     return dict(about)
 
 

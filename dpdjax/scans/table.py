@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import stdtrit
 
 import dpdjax
 from dpdjax import drawing
@@ -18,10 +19,12 @@ from dpdjax.files.gsd import writing
 from dpdjax.files.locks import held
 from dpdjax.files.states import replacing
 from dpdjax.files.told import differences
-from dpdjax.measure.statistics import Estimate, from_replicas
+from dpdjax.measure.statistics import from_replicas
 from dpdjax.scans.drive import Outcome
 from dpdjax.scans.grid import EACH, ENDINGS, ERROR, REPLICA, TAKEN, Grid, Unit
 
+OWN = ("dpdjax", "made_by", "complete")
+"""Attributes of a table that are not its maker's."""
 OPEN, DONE, FAILED = 0, 1, 2
 """States of a replica."""
 UNITS = drawing.UNITS | {
@@ -95,7 +98,8 @@ class Table:
 
     def dataset(self):
         """As an ``xarray.Dataset``: of each number the mean of the replicas and its standard error,
-        which is that of the experiment itself where there is one replica; and each replica."""
+        see :func:`_covering`; and each replica. Its attribute ``complete`` is 1 where none is
+        missing."""
         xarray = xarray_module()
         axes = list(self.grid.axes)
         every, data = [*axes, REPLICA], {}
@@ -115,7 +119,8 @@ class Table:
             data[name] = every, values, {"long_name": name.replace("_", " ")}
         found = {name: (name, _axis(v), _attributes(name)) for name, v in self.grid.axes.items()}
         coordinates = found | {REPLICA: np.arange(self.grid.replicas)}
-        about = {"dpdjax": dpdjax.__version__, "made_by": json.dumps(self.made)} | self.about
+        about = {"dpdjax": dpdjax.__version__, "made_by": json.dumps(self.made)}
+        about |= {"complete": int(not self.left())} | self.about
         return xarray.Dataset(data, coordinates, about)
 
     def take(self, dataset) -> None:
@@ -188,6 +193,10 @@ class Store:
     def __init__(self, path: str | os.PathLike | None, seconds: float = 1.0):
         if path is not None:
             file_name(path, "store", "give the name of a netCDF file")
+            if not os.fspath(path).endswith(".nc"):
+                raise ValueError(
+                    f"store is {os.fspath(path)!r}; it is a netCDF file, give a name in .nc"
+                )
         self.path, self._seconds, self._last = path, seconds, -np.inf
         folder = os.path.dirname(os.fspath(path or "")) or "."
         if not os.path.isdir(folder):
@@ -282,7 +291,7 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     names = [name for name in map(str, parts[0].coords) if name != REPLICA]
     values = lambda name: list(dict.fromkeys(_plain(x) for p in parts for x in p[name].values))
     replicas = max(part.sizes[REPLICA] for part in parts)
-    about = {n: x for n, x in parts[0].attrs.items() if n not in ("dpdjax", "made_by")}
+    about = {n: x for n, x in parts[0].attrs.items() if n not in OWN}
     grid = Grid.of({name: values(name) for name in names}, replicas)
     table = Table(grid, made, about)
     for part in parts:
@@ -293,21 +302,49 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     return dataset
 
 
+def points_of(dataset):
+    """The points of a table as a ``pandas.DataFrame``, a row for each: its numbers with their
+    errors, and how many replicas are done."""
+    names = [str(n) for n in dataset if REPLICA not in dataset[n].dims]
+    done = (dataset["status"] == DONE).sum(REPLICA).rename("replicas")
+    return (
+        dataset[names]
+        .assign(replicas=done)
+        .drop_vars(REPLICA, errors="ignore")
+        .to_dataframe()
+        .reset_index()
+    )
+
+
 def _plain(value):
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _over_replicas(value, error):
-    """Means over the replicas that are there, and their standard errors."""
+    """Means over the replicas that are there, and standard errors that cover."""
     means, errors = np.full((2, *value.shape[:-1]), np.nan)
     for place in np.ndindex(*means.shape):
         there = ~np.isnan(value[place])
-        if there.sum() == 1:
-            means[place], errors[place] = value[place][there][0], error[place][there][0]
-        elif there.any():
-            found: Estimate = from_replicas(value[place][there])
-            means[place], errors[place] = found.value, found.error
+        if there.any():
+            means[place] = value[place][there].mean()
+            errors[place] = _covering(value[place][there], error[place][there])
     return means, errors
+
+
+def _covering(values, errors) -> float:
+    """Standard error of the mean of replicas: the larger of what their own errors come to, and of
+    their scatter, so widened that few of them cover (68 % by Student's t). Two that happen to agree
+    tell little, and neither do blocks that remember the one before."""
+    count = len(values)
+    own = np.sqrt(np.sum(errors**2)) / count
+    if count == 1:
+        return float(own)
+    scatter = from_replicas(values).error * stdtrit(count - 1, ONE_SIGMA)
+    return float(np.fmax(own, scatter))
+
+
+ONE_SIGMA = 0.8413447460685429
+"""Of a normal distribution, the share below one standard deviation."""
 
 
 def _attributes(name: str, before: str = "") -> dict:

@@ -100,12 +100,15 @@ def test_a_scan(write, water, tmp_path, capsys):
     path = write(SCAN, "scan.toml")
     assert main(["scan", path, "--json", "--no-cache"]) == 0
     told = json.loads(capsys.readouterr().out)
+    points = told.pop("points")
     assert told == {"runs": 4, "done": 4, "failed": 0, "store": str(tmp_path / "scan.nc")}
+    assert [p["gamma"] for p in points] == [4.5, 9.0] and points[0]["replicas"] == 2
     experiment = dpd.experiments.Viscosity(fluid=water, box=3.5, time=1.0, settle=1.0, rate=0.5)
     how = {"key": jax.random.key(0), "replicas": 2, "progress": False}
     table = dpd.scan(experiment, {"gamma": [4.5, 9.0]}, **how)
     stored = dpd.load_scan(tmp_path / "scan.nc")
     assert np.array_equal(stored.viscosity_each, table.viscosity_each)
+    assert points[1]["viscosity"] == float(table.viscosity[1])
     assert "[scan.grid]" in stored.attrs["toml"]
     parts = []
     for shard in ("1/2", "2/2"):

@@ -131,3 +131,11 @@ def test_tau_is_that_of_the_colloids(first):
         _ = of(dpd.marble_fluid()).tau
     with pytest.raises(ValueError, match="eta_0 of the fluid must be above zero"):
         _ = of(colloids.set(eta_0=0.0)).tau
+
+
+def test_the_last_frames_alone(ran):
+    later = ran.last(2)
+    assert later.frames["time"].shape[-1] == 2 and later.final is ran.final
+    np.testing.assert_array_equal(later.frames["time"], ran.frames["time"][..., -2:])
+    with pytest.raises(ValueError, match="count is 1000, and the run has"):
+        ran.last(1000)

@@ -20,6 +20,7 @@ import xarray
 import dpdjax as dpd
 from dpdjax.scans import drive
 from dpdjax.scans.grid import Grid
+from dpdjax.scans.table import _over_replicas
 
 GRID = {"gamma": [4.5, 9.0], "a": [10.0, 25.0]}
 pytestmark = pytest.mark.filterwarnings("ignore:the ", "ignore:3 frames", "ignore:.*drifts")
@@ -55,7 +56,11 @@ def test_the_table(table):
     each = table.viscosity_each
     assert np.all(np.isfinite(each)) and len(np.unique(each)) == each.size
     np.testing.assert_allclose(table.viscosity, each.mean("replica"))
-    np.testing.assert_allclose(table.viscosity_error, each.std("replica", ddof=1) / np.sqrt(2))
+    # Of two, 68 % by Student's t; or what their own errors come to.
+    scatter = each.std("replica", ddof=1) / np.sqrt(2) * 1.8367
+    own = np.sqrt((table.viscosity_each_error**2).sum("replica")) / 2
+    np.testing.assert_allclose(table.viscosity_error, np.fmax(scatter, own), rtol=1e-4)
+    assert table.attrs["complete"] == 1
     assert table.viscosity.attrs == {
         "long_name": "shear viscosity",
         "units": "energy time/length^3",
@@ -67,6 +72,17 @@ def test_the_table(table):
     assert len(frame) == 8 and "viscosity_error" in frame
     steps = 128 * (round(1.0 / 0.011) + 300)
     assert np.all(table.particle_steps > 128 * 100) and np.all(table.particle_steps < 3 * steps)
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_errors_of_few_replicas_cover(count):
+    """Two that happened to agree stated an error 16 times too small."""
+    rng = np.random.default_rng(count)
+    values = rng.normal(size=(4000, count))
+    for own, least in ((np.nan, 0.66), (1.0, 0.68), (0.2, 0.66)):
+        _, errors = _over_replicas(values, np.full(values.shape, own))
+        share = np.mean(np.abs(values.mean(axis=1)) < errors)
+        assert least < share < 0.85
 
 
 def test_a_number_is_that_of_the_point_alone(scan, table):
