@@ -50,7 +50,7 @@ _HOMES = {
     "dpdjax.scans.drive": ["Run"],
     "dpdjax.scans.picture": ["plot_scan"],
     "dpdjax.scans.scan": ["scan"],
-    "dpdjax.scans.table": ["load_scan", "merge_scans"],
+    "dpdjax.scans.table": ["load_scan", "merge_scans", "scan_points"],
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)

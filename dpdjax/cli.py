@@ -202,7 +202,7 @@ def _run(arguments):
 
 def _scan(arguments):
     from dpdjax.configs.running import scan_file
-    from dpdjax.scans.table import points_of
+    from dpdjax.scans.table import scan_points
 
     result, is_complete = scan_file(
         arguments.config,
@@ -214,7 +214,7 @@ def _scan(arguments):
         progress=not arguments.json,
     )
     table = result.pop("table")
-    points = points_of(table)
+    points = scan_points(table)
     if arguments.csv:
         points.to_csv(arguments.csv, index=False)
     shown = points.to_dict("records") if arguments.json else f"\n{points.to_string(index=False)}"

@@ -144,7 +144,8 @@ class Viscosity(_OfFluid):
         own, numbers = self.at(point)
         positive(abs(own.rate), "rate", "at rest there is no viscosity to be read")
         if own.strain is not None:
-            own = dataclasses.replace(own, time=positive(own.strain, "strain") / abs(own.rate))
+            positive(own.strain, "strain")
+            own = dataclasses.replace(own, time=float(own.strain) / abs(float(own.rate)))
         fluid, state, dt, how = yield from own.settled(key, numbers)
         flow = shear(own.rate)
         # Until the flow has come about.

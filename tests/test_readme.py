@@ -40,6 +40,7 @@ SMALLER = {
     "dpd.Plan(20, 20)": "dpd.Plan(2, 5)",
     '"gamma": [4.5, 20.0], "rate": [0.2, 0.5, 1.0]': '"gamma": [4.5], "rate": [0.2, 0.5]',
     "dpd.Plan(50, 20), ": "dpd.Plan(4, 2), ",
+    "aged.last(6)": "aged.last(2)",
     "n=[4800, 60]": "n=[600, 9]",
     "Plan(10, 30)": "Plan(12, 2)",
     "box=10.0, gamma_cs=5.0": "box=6.0, radius=1.0, gamma_cs=5.0",

@@ -31,7 +31,8 @@ def cautions(fluid: Fluid, state, dt, plan) -> list[str]:
         found.append(f"{small}: use {least:.4g} or more for production")
     found += cut_short(fluid) + deep_wells(fluid)
     interval = float(np.max(np.asarray(dt))) * plan.longest
-    if interval > tau:
+    # A schedule of growing intervals means its last ones.
+    if interval > tau and not plan.schedule:
         found.append(
             f"frames are {interval:.4g} apart, more than the diffusion time {tau:.4g}: "
             f"use Plan(every={max(1, math.floor(tau / float(np.max(np.asarray(dt)))))}) or less"

@@ -108,6 +108,8 @@ def plot_flow_curve(table: Any, ax: Any = None) -> Any:
 
     Returns the axes. Raises ValueError for a table without these.
     """
+    if "status" in table and not (table["status"] == 1).any():
+        raise ValueError("no run of the table is done, see its status and reason")
     if "rate" not in table.dims or "viscosity" not in table:
         raise ValueError(
             f"a flow curve is the viscosity along an axis 'rate'; the axes of this table are "

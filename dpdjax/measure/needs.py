@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 from scipy.stats import kendalltau
 
+from dpdjax import drawing
 from dpdjax.checks import is_concrete
 from dpdjax.measure.replicas import bead_masses, species_of
 from dpdjax.measure.statistics import block_average
@@ -18,6 +19,18 @@ HOT, WARM, OFF = 0.25, 0.05, 0.02
 average beyond doubt."""
 SURELY, FEWEST = 4.0, 8
 """Standard errors, of so many blocks, by which a temperature is off beyond doubt."""
+
+
+def warn_of_ages(what, name: str, stacklevel: int = 3):
+    """Warn where an average over the frames of a run is one over ages: frames that are further and
+    further apart are of something that ages."""
+    frames = getattr(what, "frames", {})
+    if "time" in frames and drawing.grows(np.atleast_2d(frames["time"])[0]):
+        warnings.warn(
+            f"the frames are further and further apart, and {name} is the mean over all of them, "
+            "most of them young: trajectory.last(6) has the last six",
+            stacklevel=stacklevel,
+        )
 
 
 def finished(trajectory):

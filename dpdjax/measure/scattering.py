@@ -7,6 +7,7 @@ import numpy as np
 
 from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, shift_of
 from dpdjax.measure.structure import whole_bins
@@ -44,6 +45,9 @@ def structure_factor(
     Averages run over the wave vectors of a shell, so over all directions, and over frames; shells
     without any are left out.
 
+    The error is that of the scatter between stretches of frames. Of one gel, whose frames are all
+    alike, it leaves out that the box holds few wave vectors: ``s / sqrt(vectors / 2)``.
+
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
         q_max: largest wave vector [1/length], by default 2 pi over the mean radius. The work
@@ -52,6 +56,7 @@ def structure_factor(
 
     Raises ValueError for ``q_max`` below the smallest wave vector, and as :func:`spheres` does.
     """
+    needs.warn_of_ages(what, "S(q)")
     what, bins = as_spheres(what), whole_bins(bins)
     q_max = 2 * np.pi / np.mean(what.radius) if q_max is None else float(q_max)
     lowest = 2 * np.pi / np.max(what.lengths)

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import as_frames, recorded, side_lengths, strains
 from dpdjax.pairs import box as boxes
@@ -68,6 +69,7 @@ def radial_distribution(
         ValueError: no recorded positions, or means of them, a sheared run without its ``strain``,
             positions that are not finite, no box or two, ``r_max`` above half the shortest side.
     """
+    needs.warn_of_ages(trajectory, "g(r)")
     position, lengths, strain = _configurations(trajectory, box)
     edges = distance_edges(lengths, bins, r_max)
     counts = np.stack([count_pairs(*member, edges) for member in zip(lengths, strain, position)])

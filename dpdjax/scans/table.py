@@ -302,18 +302,17 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     return dataset
 
 
-def points_of(dataset):
-    """The points of a table as a ``pandas.DataFrame``, a row for each: its numbers with their
-    errors, and how many replicas are done."""
-    names = [str(n) for n in dataset if REPLICA not in dataset[n].dims]
-    done = (dataset["status"] == DONE).sum(REPLICA).rename("replicas")
-    return (
-        dataset[names]
-        .assign(replicas=done)
-        .drop_vars(REPLICA, errors="ignore")
-        .to_dataframe()
-        .reset_index()
-    )
+def scan_points(table):
+    """The points of a scan as a ``pandas.DataFrame``, a row for each: its numbers with their
+    standard errors, and how many replicas are done.
+
+    ``table`` is what :func:`dpdjax.scan` returns; ``table.to_dataframe()`` has a row for each
+    replica.
+    """
+    names = [str(name) for name in table if REPLICA not in table[name].dims]
+    done = (table["status"] == DONE).sum(REPLICA).rename("replicas")
+    points = table[names].assign(replicas=done).drop_vars(REPLICA, errors="ignore")
+    return points.to_dataframe().reset_index()
 
 
 def _plain(value):

@@ -133,9 +133,14 @@ def test_tau_is_that_of_the_colloids(first):
         _ = of(colloids.set(eta_0=0.0)).tau
 
 
-def test_the_last_frames_alone(ran):
-    later = ran.last(2)
-    assert later.frames["time"].shape[-1] == 2 and later.final is ran.final
-    np.testing.assert_array_equal(later.frames["time"], ran.frames["time"][..., -2:])
-    with pytest.raises(ValueError, match="count is 1000, and the run has"):
-        ran.last(1000)
+def test_the_last_frames_alone(run, first, batch, tmp_path):
+    for ran in (first, batch, run(out=tmp_path / "run.gsd")):
+        later = ran.last(2)
+        assert later.final is ran.final and np.shape(later.frames["time"])[-1] == 2
+        axis = 1 if ran.is_batch else 0
+        for name in ("time", "position", "temperature"):
+            whole = np.moveaxis(np.asarray(ran.frames[name]), axis, 0)
+            end = np.moveaxis(np.asarray(later.frames[name]), axis, 0)
+            np.testing.assert_array_equal(end, whole[-2:])
+    with pytest.raises(ValueError, match="count is 5, and the run has 4 frames"):
+        first.last(5)

@@ -57,7 +57,7 @@ def test_the_table(table):
     assert np.all(np.isfinite(each)) and len(np.unique(each)) == each.size
     np.testing.assert_allclose(table.viscosity, each.mean("replica"))
     # Of two, 68 % by Student's t; or what their own errors come to.
-    scatter = each.std("replica", ddof=1) / np.sqrt(2) * 1.8367
+    scatter = each.std("replica", ddof=1) / np.sqrt(2) * 1.8373
     own = np.sqrt((table.viscosity_each_error**2).sum("replica")) / 2
     np.testing.assert_allclose(table.viscosity_error, np.fmax(scatter, own), rtol=1e-4)
     assert table.attrs["complete"] == 1
@@ -411,3 +411,26 @@ DEVICES = """
              store=sys.argv[1] + "/two.nc")
     print(len(jax.devices()))
 """
+
+
+def test_a_fluid_that_the_flow_heats_fails_by_name(water, key):
+    """It was a point like the others, at five times its kT."""
+    hot = dpd.experiments.Viscosity(fluid=water, box=3.5, strain=4.0, settle=1.0)
+    with pytest.warns(UserWarning, match="2 of 2 runs failed.*give a smaller rate"):
+        table = dpd.scan(hot, {"rate": [6.0, 8.0]}, key=key, progress=False)
+    assert np.all(table.status == 2) and "where kT is 1: give a smaller rate" in str(
+        table.reason[0, 0].item()
+    )
+    assert dpd.scan_points(table)["replicas"].tolist() == [0, 0]
+    with pytest.raises(ValueError, match="no run of the table is done"):
+        dpd.plot_flow_curve(table)
+
+
+def test_points_of_one_strain_are_as_long_in_it(water, key):
+    made = dpd.experiments.Viscosity(fluid=water, box=3.5, strain=1.0, settle=1.0)
+    table = dpd.scan(made, {"rate": [0.5, 1.0]}, key=key, progress=False)
+    steps = table.particle_steps.values[:, 0]
+    # Three and one time units before, and two or one that are measured.
+    assert 1.15 < steps[0] / steps[1] < 1.25
+    with pytest.raises(TypeError, match="has 'rates'.* the experiment has .*rate, strain"):
+        dpd.scan(made, {"rates": [0.5]}, key=key, progress=False)
