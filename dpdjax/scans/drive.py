@@ -21,6 +21,7 @@ from dpdjax.errors import DPDError
 from dpdjax.host.run import run
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
+from dpdjax.scans.notes import noted
 
 FAILURES = (DPDError, ValueError, RuntimeError, ArithmeticError)
 """What a point may fail by, while the others go on; anything else is a mistake in the experiment,
@@ -66,11 +67,13 @@ class Outcome:
     Attributes:
         values: estimates by name; empty where it failed.
         reason: why it failed; empty where it did not.
+        note: what was warned of.
         particle_steps, seconds: what it took.
     """
 
     values: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     reason: str = ""
+    note: str = ""
     particle_steps: int = 0
     seconds: float = 0.0
 
@@ -88,14 +91,16 @@ def driven(experiment: Callable, key, point: dict, is_over: Callable = lambda: F
             raise Cancelled
 
     outcome, began = Outcome(), time.monotonic()
-    try:
-        asked = _Asking(experiment, key, point)
-        while asked.wanted is not None:
-            outcome.particle_steps += asked.wanted.particle_steps
-            asked.give(_attempted(asked.wanted, give_up_when_over))
-        outcome.values = asked.values
-    except FAILURES as error:
-        outcome.reason = str(error) or type(error).__name__
+    with noted() as notes:
+        try:
+            asked = _Asking(experiment, key, point)
+            while asked.wanted is not None:
+                outcome.particle_steps += asked.wanted.particle_steps
+                asked.give(_attempted(asked.wanted, give_up_when_over))
+            outcome.values = asked.values
+        except FAILURES as error:
+            outcome.reason = str(error) or type(error).__name__
+    outcome.note = "; ".join(notes)
     outcome.seconds = time.monotonic() - began
     return outcome
 

@@ -14,7 +14,7 @@ import numpy as np
 from dpdjax.checks import prng_key
 
 REPLICA, ERROR, EACH = "replica", "_error", "_each"
-TAKEN = (REPLICA, "status", "reason", "particle_steps", "seconds")
+TAKEN = (REPLICA, "status", "reason", "note", "particle_steps", "seconds")
 ENDINGS = (ERROR, EACH)
 """Names, and ends of names, of the columns of a table."""
 Unit = tuple[tuple[int, ...], int]

@@ -22,7 +22,7 @@ from dpdjax.host.stops import Stop, stopping
 from dpdjax.scans.drive import Cancelled, Outcome, driven, driven_together
 from dpdjax.scans.grid import Grid, Unit
 from dpdjax.scans.progress import Progress
-from dpdjax.scans.table import OWN, Store, Table, told_failures
+from dpdjax.scans.table import OWN, Store, Table, tell
 from dpdjax.xla import on_cpu
 
 WAKE = 0.5
@@ -79,8 +79,9 @@ def scan(
         about: texts that the table is to hold as attributes.
 
     Returns an ``xarray.Dataset``: of each number the mean and its standard error (``..._error``),
-    each replica (``..._each``), status (0 open, 1 done, 2 failed) and reason; units and provenance
-    as attributes, and ``complete``: 0 after an early end, when some means are of fewer replicas.
+    each replica (``..._each``), status (0 open, 1 done, 2 failed), reason of a failure and note
+    of what was warned of; units and provenance as attributes, and ``complete``: 0 after an early
+    end, when some means are of fewer replicas.
 
     Raises TypeError or ValueError for what is no grid, FileError for a store of another scan.
     """
@@ -115,7 +116,7 @@ def scan(
                 line.say(f"ended by {stop.why}: the same call does what is missing")
     if stop.is_terminated:
         raise dpdjax.Stopped
-    told_failures(table)
+    tell(table)
     return table.dataset()
 
 

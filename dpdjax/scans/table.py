@@ -27,6 +27,8 @@ OWN = ("dpdjax", "made_by", "complete")
 """Attributes of a table that are not its maker's."""
 OPEN, DONE, FAILED = 0, 1, 2
 """States of a replica."""
+TEXTS = {"reason": "why it failed", "note": "what was warned of"}
+"""What is told of a replica."""
 UNITS = drawing.UNITS | {
     "dt": "time",
     "phi": "1",
@@ -65,7 +67,7 @@ class Table:
     def __init__(self, grid: Grid, made: dict, about: dict[str, str] | None = None):
         self.grid, self.made, self.about = grid, made, about or {}
         self.status = np.zeros(grid.shape, np.int32)
-        self.reason = np.full(grid.shape, "", object)
+        self.texts = {name: np.full(grid.shape, "", object) for name in TEXTS}
         self.cost = {name: np.zeros(grid.shape) for name in ("particle_steps", "seconds")}
         self.values: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -73,7 +75,8 @@ class Table:
         """Take in what a replica came to."""
         where = (*unit[0], unit[1])
         self.status[where] = FAILED if outcome.reason else DONE
-        self.reason[where] = outcome.reason
+        for name, values in self.texts.items():
+            values[where] = getattr(outcome, name)
         for name, values in self.cost.items():
             values[where] = getattr(outcome, name)
         for name, estimate in outcome.values.items():
@@ -88,12 +91,14 @@ class Table:
         """Take what failed as not yet done."""
         self.status[self.status == FAILED] = OPEN
 
-    def failures(self) -> list[str]:
-        """Replicas that failed, each with the reason."""
+    def told(self, name: str) -> list[str]:
+        """Replicas of which a text tells something, each with it: the ``reason`` of those that
+        failed, the ``note`` of those that are done."""
+        of = {"reason": FAILED, "note": DONE}[name]
         return [
-            f"{self.grid.named((place, k))}: {self.reason[(*place, k)]}"
+            f"{self.grid.named((place, k))}: {self.texts[name][(*place, k)]}"
             for place, k in self.grid.units()
-            if self.status[(*place, k)] == FAILED
+            if self.status[(*place, k)] == of and self.texts[name][(*place, k)]
         ]
 
     def dataset(self):
@@ -114,7 +119,8 @@ class Table:
                 _attributes(name, "errors of replicas of the "),
             )
         data["status"] = every, self.status, {"long_name": "0 open, 1 done, 2 failed"}
-        data["reason"] = every, self.reason.astype(str), {"long_name": "why it failed"}
+        for name, values in self.texts.items():
+            data[name] = every, values.astype(str), {"long_name": TEXTS[name]}
         for name, values in self.cost.items():
             data[name] = every, values, {"long_name": name.replace("_", " ")}
         found = {name: (name, _axis(v), _attributes(name)) for name, v in self.grid.axes.items()}
@@ -153,7 +159,8 @@ class Table:
             if self.status[here] == DONE == arrays["status"][there]:
                 _check_agree(self, names, arrays, here, there)
             self.status[here] = arrays["status"][there]
-            self.reason[here] = str(arrays["reason"][there])
+            for name, values in self.texts.items():
+                values[here] = str(arrays[name][there])
             for name, values in self.cost.items():
                 values[here] = arrays[name][there]
             for name in names:
@@ -351,13 +358,15 @@ def _attributes(name: str, before: str = "") -> dict:
     return found | ({"units": UNITS[name]} if name in UNITS else {})
 
 
-def told_failures(table: Table) -> None:
-    """Warn of replicas that failed, a few by name."""
-    lost = table.failures()
-    if lost:
-        more = f"; and {len(lost) - 3} more" if len(lost) > 3 else ""
-        warnings.warn(
-            f"{len(lost)} of {len(table.grid.units())} runs failed, see the table's status and "
-            f"reason: {'; '.join(lost[:3])}{more}",
-            stacklevel=3,
-        )
+def tell(table: Table) -> None:
+    """Warn of replicas that failed, and of those that warned of something, a few by name."""
+    runs = len(table.grid.units())
+    for name, what in (("reason", "failed"), ("note", "warned of something")):
+        told = table.told(name)
+        if told:
+            more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
+            warnings.warn(
+                f"{len(told)} of {runs} runs {what}, see the table's {name}: "
+                f"{'; '.join(told[:3])}{more}",
+                stacklevel=3,
+            )

@@ -252,7 +252,7 @@ def scan_by_dask(store: str):
 
 
 def _same(a, b) -> bool:
-    drop = ["seconds"]
+    drop = ["seconds", "note"]
     return bool(a.drop_vars(drop).identical(b.drop_vars(drop)))
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import textwrap
 import time
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +47,9 @@ def table(scan):
 
 
 def same(a, b):
-    """Whether two tables hold the same numbers, bit by bit, whatever it took."""
-    drop = ["seconds"]
+    """Whether two tables hold the same numbers, bit by bit, whatever it took; filters of warnings
+    are those of each process."""
+    drop = ["seconds", "note"]
     return a.drop_vars(drop).identical(b.drop_vars(drop))
 
 
@@ -434,3 +436,24 @@ def test_points_of_one_strain_are_as_long_in_it(water, key):
     assert 1.15 < steps[0] / steps[1] < 1.25
     with pytest.raises(TypeError, match="has 'rates'.* the experiment has .*rate, strain"):
         dpd.scan(made, {"rates": [0.5]}, key=key, progress=False)
+
+
+def test_a_warning_is_kept_with_its_point(key, tmp_path):
+    """One text of two points, and none of a third; told once, by name, and again by the store."""
+
+    def warning(key, *, x):
+        if x:
+            warnings.warn("too warm", stacklevel=1)
+        return {"y": 1.0}
+
+    for _ in range(2):
+        with pytest.warns(UserWarning) as told:
+            table = dpd.scan(
+                warning, {"x": [0, 1, 2]}, key=key, store=tmp_path / "x.nc", progress=False
+            )
+        assert len(told) == 1
+        assert str(told[0].message) == (
+            "2 of 3 runs warned of something, see the table's note: x = 1: too warm; "
+            "x = 2: too warm"
+        )
+    assert table.note.values[:, 0].tolist() == ["", "too warm", "too warm"]
