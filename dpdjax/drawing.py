@@ -58,6 +58,11 @@ def grows(time) -> bool:
     return len(time) > 4 and time[0] > 0 and apart[-1] > 5 * apart[0] > 0
 
 
+def time_scale(time) -> str:
+    """The scale of an axis of times: logarithmic for those of what ages."""
+    return "log" if grows(time) else "linear"
+
+
 def curve(ax, x, y, error, xlabel: str, ylabel: str):
     """A line in a band of one standard error; returns the axes, new ones for None."""
     ax = axes(ax)

@@ -313,19 +313,9 @@ def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCali
         _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)
         wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
         goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
+        own = jax.random.fold_in(key, k)
         ensembles.append(
-            _ensemble(
-                fluid,
-                goal,
-                jax.random.fold_in(key, k),
-                density,
-                tolerance,
-                box,
-                boxes,
-                dt,
-                integrator,
-                say,
-            )  # fmt: skip
+            _ensemble(fluid, goal, own, density, tolerance, box, boxes, dt, integrator, say)
         )
     return descend(fluid, parameters, ensembles, tolerance, optimiser, MAX_POINTS, say)
 

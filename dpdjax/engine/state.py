@@ -123,8 +123,9 @@ class State:
         """The same beads for a run of its own: the force is forgotten, which the next run computes
         from its own fluid, and its clock starts at 0, so that times are ages. Steps count on, so
         that noise of the same key does not repeat."""
-        zero = {name: jnp.zeros_like(getattr(self, name)) for name in ("started", "time")}
-        return dataclasses.replace(self, **zero, time_rest=jnp.zeros_like(self.time_rest))
+        names = ("started", "time", "time_rest")
+        zero = {name: jnp.zeros_like(getattr(self, name)) for name in names}
+        return dataclasses.replace(self, **zero)
 
 
 # One program: operation by operation, a first list takes seconds to compile.

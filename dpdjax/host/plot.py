@@ -50,7 +50,7 @@ def plot_run(trajectory: Trajectory, axes: Any = None) -> np.ndarray:
     time = np.atleast_2d(trajectory.frames["time"])
     for ax, name in zip(axes, drawn):
         PANELS[name](ax, time, np.asarray(trajectory.frames[name]), trajectory)
-    axes[-1].set(xlabel="t [time]", xscale="log" if drawing.grows(time[0]) else "linear")
+    axes[-1].set(xlabel="t [time]", xscale=drawing.time_scale(time[0]))
     return axes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from dpdjax.drawing import curve, grows
+from dpdjax.drawing import curve, time_scale
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
@@ -49,7 +49,7 @@ class Clusters:
         matplotlib axes."""
         mean, error = self.largest.mean(axis=0), standard_error(self.largest)
         ax = curve(ax, self.time, mean, error, "t [time]", "largest cluster")
-        ax.set_xscale("log" if grows(self.time) else "linear")
+        ax.set_xscale(time_scale(self.time))
         return ax
 
 

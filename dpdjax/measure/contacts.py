@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from dpdjax.checks import positive
-from dpdjax.drawing import axes, curve, grows
+from dpdjax.drawing import axes, curve, time_scale
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
@@ -60,7 +60,7 @@ class ContactNumber:
         time, label = (self.time, "t [time]") if tau is None else (self.time / tau, "t/tau")
         mean, error = self.series.mean(axis=0), standard_error(self.series)
         ax = curve(ax, time, mean, error, label, f"contact number, gaps below {self.gap:.3g}")
-        ax.set_xscale("log" if grows(time) else "linear")
+        ax.set_xscale(time_scale(time))
         return ax
 
 
