@@ -29,9 +29,9 @@ def plot_scan(
         for n in table
         if str(n).endswith(ERROR) and REPLICA not in table[n].dims
     ]
-    name = numbers[0] if name is None and numbers else name
     if not numbers:
         raise ValueError("the table holds no numbers: no run is done, see its status and reason")
+    name = numbers[0] if name is None else name
     if name not in numbers:
         raise ValueError(f"name is {name!r}; the table has {', '.join(numbers)}")
     dims = sorted(map(str, table[name].dims), key=lambda dim: -table.sizes[dim])
