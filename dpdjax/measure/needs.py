@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-from scipy.stats import kendalltau
 
 from dpdjax import drawing
 from dpdjax.checks import is_concrete
@@ -198,5 +197,8 @@ def trend(values) -> int:
     pieces = pieces_in_time(values)
     if len(pieces) < 2 or not np.all(np.isfinite(pieces)) or np.ptp(pieces) == 0:
         return 0
+    # The package it is in takes half a second to load.
+    from scipy.stats import kendalltau
+
     found = kendalltau(np.arange(len(pieces)), pieces)
     return int(np.sign(found.statistic)) if found.pvalue < RARELY else 0
