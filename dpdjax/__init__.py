@@ -47,6 +47,7 @@ _HOMES = {
     "dpdjax.files.loading": ["load_gsd"],
     "dpdjax.files.states": ["load_state", "save_state"],
     "dpdjax.host.plot": ["plot_box", "plot_flow_curve", "plot_profile", "plot_run"],
+    "dpdjax.inference.fit": ["fit"],
     "dpdjax.scans.drive": ["Run"],
     "dpdjax.scans.picture": ["plot_scan"],
     "dpdjax.scans.scan": ["scan"],

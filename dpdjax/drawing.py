@@ -23,6 +23,13 @@ UNITS = {
     "kT": "energy",
     "a": "energy/length",
     "rate": "1/time",
+    "frequency": "1/time",
+    "stress": "energy/length^3",
+    "storage_modulus": "energy/length^3",
+    "loss_modulus": "energy/length^3",
+    "D0": "energy",
+    "kappa": "1/length",
+    "eta_0": "energy time/length^3",
 }
 """Of what is often recorded, measured and calibrated."""
 

@@ -5,33 +5,54 @@ names. Numbers that are none of these are numbers of the fluid: ``gamma``, ``a``
 """
 
 import dataclasses
+import math
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.calibration.goal import rough_viscosity, suggest_rate
 from dpdjax.checks import not_negative, positive
 from dpdjax.engine.choice import suited
-from dpdjax.engine.deformation import shear
+from dpdjax.engine.deformation import oscillatory_shear, shear
 from dpdjax.engine.integrator import Integrator
-from dpdjax.engine.observables import positions, positions_of, standard
+from dpdjax.engine.observables import (
+    STATIC,
+    positions,
+    positions_of,
+    pressure_tensor,
+    standard,
+    temperature,
+)
+from dpdjax.engine.record import mean
 from dpdjax.engine.trajectory import Plan
 from dpdjax.errors import RunError
 from dpdjax.measure.clusters import clusters
 from dpdjax.measure.contacts import contact_number
 from dpdjax.measure.needs import HOT
+from dpdjax.measure.rheology import moduli
 from dpdjax.measure.statistics import Estimate, block_average
 from dpdjax.measure.transport import diffusion as diffusion_of
+from dpdjax.measure.transport import large_system_diffusion
 from dpdjax.measure.viscosity import shear_record, shear_viscosity
 from dpdjax.model.fluid import Fluid
 from dpdjax.prepare.start import initial_state
 from dpdjax.prepare.suspension import suspension
 from dpdjax.scans.drive import Run
 
-__all__ = ["Diffusion", "Gel", "Pressure", "SuspensionViscosity", "Viscosity"]
+__all__ = [
+    "Diffusion",
+    "Gel",
+    "OscillatoryShear",
+    "Pressure",
+    "Solvent",
+    "SuspensionViscosity",
+    "Viscosity",
+]
 
-FRAMES, SETTLE = 400, 10
-"""Frames of a run that is averaged over, and of one that settles."""
+FRAMES, SETTLE, FRAMES_OF_CYCLE = 400, 10, 32
+"""Frames of a run that is averaged over, of one that settles, and of a cycle of oscillation."""
 
 
 def _planned(steps: float) -> Plan:
@@ -204,6 +225,104 @@ class Pressure(_OfFluid):
         mean = np.trace(tensor, axis1=-2, axis2=-1) / 3
         heat = own.heat(ran, fluid)
         return {"pressure": block_average(mean), "temperature": heat}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Solvent(_OfFluid):
+    """``viscosity``, ``diffusion``, ``schmidt`` and ``pressure`` of a fluid: those that the atlas
+    has, by runs at rest and under shear.
+
+    Attributes:
+        rate: shear rate [1/time]; by default the largest whose bias stays below one per cent.
+        sheared: time under shear [time]; by default as long as at rest.
+        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
+            beads per volume, in a box of this side, measured over this time [time] after settling
+            for another, by a step and an integrator that are chosen for it unless given; another
+            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
+
+    Diffusion is that of a large system, :func:`dpdjax.measure.large_system_diffusion`.
+    """
+
+    time: float = 200.0
+    rate: float | None = None
+    sheared: float | None = None
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        own, numbers = self.at(point)
+        fluid, state, dt, how = yield from own.settled(key, numbers)
+        rest = yield Run(
+            fluid, state, key, dt, own.plan(dt), observe=[mean(_static), positions], integrator=how
+        )
+        rough = rough_viscosity(fluid, own.density)
+        rate = suggest_rate(fluid, own.density, rough) if own.rate is None else own.rate
+        flow = shear(positive(rate, "rate"))
+        late = yield Run(
+            fluid, rest.final, key, dt, Plan.over(3.0, dt, SETTLE), flow, integrator=how
+        )
+        plan = own.plan(dt) if own.sheared is None else _planned(own.sheared / dt)
+        ran = yield Run(
+            fluid, late.final, key, dt, plan, flow, observe=shear_record, integrator=how
+        )
+        own.heat(ran, fluid)
+        return own.properties(fluid, rest, shear_viscosity(ran, skip=0.0))
+
+    def properties(self, fluid, rest, viscosity: Estimate) -> dict:
+        """What a run at rest says, and a viscosity."""
+        mass, kT = float(np.asarray(fluid.mass).ravel()[0]), float(fluid.kT)
+        diffusion = large_system_diffusion(
+            diffusion_of(rest), viscosity=viscosity.value, density=self.density, kT=kT,
+            side=self.box, mass=mass,
+        )  # fmt: skip
+        heavy = viscosity.scaled(1.0 / (self.density * mass))
+        return {
+            "viscosity": viscosity,
+            "diffusion": diffusion,
+            "schmidt": heavy.over(diffusion),
+            "pressure": block_average(rest.frames["pressure"]),
+            "temperature": self.heat(rest, fluid),
+        }
+
+
+def _static(fluid, state) -> dict:
+    """Pressure of motion and potentials, which drag adds nothing to, and temperature."""
+    tensor = pressure_tensor(fluid, state, STATIC)
+    return {"pressure": jnp.trace(tensor) / 3.0, "temperature": temperature(fluid, state)}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OscillatoryShear(_OfFluid):
+    """``storage_modulus`` and ``loss_modulus`` of a fluid under oscillatory shear.
+
+    Attributes:
+        frequency: angular [1/time].
+        amplitude: of the strain.
+        cycles: that are measured over, after one that is left out, in place of ``time``.
+        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
+            beads per volume, in a box of this side, after settling for another time [time], by a
+            step and an integrator that are chosen for it unless given; another ``kT`` does to
+            potentials what :meth:`dpdjax.Fluid.set` says.
+    """
+
+    frequency: float = 1.0
+    amplitude: float = 0.5
+    cycles: int = 20
+
+    def __call__(self, key: jax.Array, **point):
+        """Ask for the runs at a point."""
+        own, numbers = self.at(point)
+        positive(own.frequency, "frequency")
+        positive(own.amplitude, "amplitude")
+        fluid, state, dt, how = yield from own.settled(key, numbers)
+        period = 2 * math.pi / float(own.frequency)
+        total = Plan.over((own.cycles + 1) * period, dt, (own.cycles + 1) * FRAMES_OF_CYCLE)
+        flow = oscillatory_shear(own.amplitude, own.frequency)
+        ran = yield Run(
+            fluid, state.restarted(), key, dt, total, flow, observe=shear_record, integrator=how
+        )
+        found = moduli(ran)
+        heat = own.heat(ran, fluid)
+        return {"storage_modulus": found.storage, "loss_modulus": found.loss, "temperature": heat}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

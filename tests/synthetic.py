@@ -10,6 +10,7 @@ import numpy as np
 from dpdjax.calibration import experiment
 from dpdjax.calibration.curve import Point
 from dpdjax.measure.statistics import Estimate
+from dpdjax.surrogate import foresight
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +84,7 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
     def measure_slopes(ensemble, fluid, names, windows):
         return [sample(rng, ln_gamma(fluid), 1.0, bias).slope for _ in names]
 
+    without_atlas(monkeypatch)
     for name, function in (
         ("prepare", prepare),
         ("measure", measure),
@@ -90,3 +92,9 @@ def replace_runs(monkeypatch, seed=0, bias=1.0):
     ):
         monkeypatch.setattr(experiment, name, function)
     return asked
+
+
+def without_atlas(monkeypatch):
+    """Let calibrations know nothing before they run."""
+    monkeypatch.setattr(foresight, "_covered", lambda fluid, density: None)
+    monkeypatch.setattr(foresight, "is_of_atlas", lambda fluid, density: False)

@@ -1,5 +1,5 @@
-"""Architecture: numbers flow model -> pairs -> engine -> prepare -> measure -> calibration, and
-imports point the same way."""
+"""Architecture: numbers flow model -> pairs -> engine -> prepare -> measure -> surrogate ->
+calibration, and imports point the same way."""
 
 import ast
 import importlib
@@ -12,7 +12,15 @@ import pytest
 import dpdjax
 
 ROOT = pathlib.Path(dpdjax.__file__).parent
-ROOMS = ["model", "pairs", "engine", "prepare", "measure", "calibration"]
+ROOMS = [
+    "model",
+    "pairs",
+    "engine",
+    "prepare",
+    "measure",
+    "surrogate",
+    "calibration",
+]
 HELPERS = ["checks", "drawing", "errors", "xla"]
 HOST = {"files", "host", "cli"}
 PAIRS = "box noise cells geometry laws sums kernels neighbours forces friction".split()

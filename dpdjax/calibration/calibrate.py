@@ -2,27 +2,20 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-from dpdjax.calibration import experiment
+from dpdjax.calibration import experiment, wishes
 from dpdjax.calibration.curve import Curve, Point, propose
-from dpdjax.calibration.goal import (
-    ONE_NUMBER,
-    Goal,
-    custom_goal,
-    damped,
-    pressure_goal,
-    rough_viscosity,
-    viscosity_goal,
-    viscosity_goal_at,
-)
-from dpdjax.calibration.joint import SIGMAS, JointCalibration, descend
+from dpdjax.calibration.gauges import Gauge, steps_of
+from dpdjax.calibration.goal import rough_viscosity
+from dpdjax.calibration.joint import SIGMAS, JointCalibration, several
 from dpdjax.calibration.picture import draw_calibration
-from dpdjax.checks import number, positive, prng_key
+from dpdjax.checks import positive, prng_key
 from dpdjax.engine.compiling import Clock
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
@@ -32,13 +25,12 @@ from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import drag_viscosity, thermal_time
 from dpdjax.model.summary import as_table
 from dpdjax.pairs.noise import Domain
+from dpdjax.surrogate.foresight import Foresight, foretold, is_of_atlas
 
 MAX_POINTS = 10
 NEAR = 0.1
 """A root or a minimum counts once a value was measured this near in ``ln parameter``: slopes alone
 may be biased."""
-SLOPE_SAMPLES = 8
-"""Tangent windows per point, over all boxes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,13 +105,17 @@ def calibrate(
     *,
     key: jax.Array,
     viscosity: float | None = None,
+    diffusion: float | None = None,
+    schmidt: float | None = None,
     pressure: float | None = None,
+    compressibility: float | None = None,
     target: float | None = None,
     observe: Callable | None = None,
     flow: Driving = None,
     density: float | None = None,
     tolerance: float = 0.02,
-    branch: str = "upper",
+    branch: str | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
     guess: float | None = None,
     dt: float | None = None,
     rate: float | None = None,
@@ -128,14 +124,16 @@ def calibrate(
     boxes: int = 2,
     max_particle_steps: float = 2e9,
     optimiser: Any = None,
+    atlas: bool = True,
     report: Callable[[str], None] | None = None,
 ) -> Calibration | JointCalibration:
     """The value of ``parameter`` at which the fluid has the wanted viscosity (or other number).
 
-    A batch of boxes is run at a guess; a value (unbiased, with its error) and a slope (by
-    forward mode through a short window) are measured; all points so far are fitted together
-    and the next run goes to the root of the fit, until its error bar is met. A fresh run at
-    the answer checks it.
+    A batch of boxes is run at a guess; a value (unbiased, with its error) and a slope are
+    measured; all points so far are fitted together and the next run goes to the root of the fit,
+    until its error bar is met. A fresh run at the answer checks it. Slopes are those of the atlas
+    where it covers the fluid; else by forward mode through a short window, or of diffusion, Schmidt
+    number and compressibility by runs at both sides.
 
     Args:
         fluid: what to calibrate; its present value of ``parameter`` is the first guess
@@ -143,15 +141,21 @@ def calibrate(
         parameter: a positive scalar of the fluid: ``"gamma"``, ``"a"``, ``"kT"``, ...; or a
             sequence of them, for as many wanted numbers, e.g. ``("gamma", "a")`` with
             ``viscosity=`` and ``pressure=``. Several parameters follow an optax optimiser from
-            their present values, and give a :class:`JointCalibration`.
+            where the atlas has the numbers, or else their present values, and give a
+            :class:`JointCalibration`.
         key: a PRNG key.
-        viscosity, pressure: the wanted number; or ``target`` with ``observe(fluid, state)``
-            and the ``flow`` it is measured in.
+        viscosity, diffusion, schmidt, pressure, compressibility: the wanted number, as
+            :class:`dpdjax.surrogate.atlas.Properties` has them; or ``target`` with
+            ``observe(fluid, state)`` and the ``flow`` it is measured in.
         density: beads per volume; by default 3 in the cube of the longest reach.
         tolerance: relative; the standard error of the wanted number at the answer, in the
             fit and in the fresh run, is at most a third of it.
         branch: ``"upper"`` where the number rises with the parameter, ``"lower"`` where it
-            falls: viscosity has a minimum in gamma, and two gammas above it.
+            falls: viscosity has a minimum in gamma, and two gammas above it. By default where it
+            rises, but of diffusion and compressibility where they fall; for a fluid that the atlas
+            covers the other where there is but that.
+        bounds: of several parameters, two ends by name; by default a factor of a thousand around
+            where they begin.
         dt: time step; by default ``suggest_dt``, following the drag.
         integrator: how the boxes move on in time; by default velocity-Verlet, or where no dt is
             given ``dpd.integrators.ImplicitDrag`` if that covers more time at the same accuracy: at
@@ -162,6 +166,9 @@ def calibrate(
         boxes: boxes in the batch.
         max_particle_steps: give up beyond.
         optimiser: an ``optax.GradientTransformation``, for several parameters.
+        atlas: begin where :func:`dpdjax.design` would, and take slopes from there, for a fluid that
+            it covers; what is answered rests on the runs alone. A run that contradicts the atlas is
+            warned of.
         report: ``report(text)`` is told of the progress.
 
     Raises:
@@ -171,82 +178,156 @@ def calibrate(
     """
     clock = Clock()
     key = prng_key(key)
-    sign = _branch_sign(branch)
+    _check_branch(branch)
     positive(tolerance, "tolerance")
     density = _density(fluid, density)
-    _refuse_unused(viscosity, target, observe, flow, rate)
+    asked = dict(
+        viscosity=viscosity, diffusion=diffusion, schmidt=schmidt, pressure=pressure,
+        compressibility=compressibility, target=target,
+    )  # fmt: skip
+    wishes.refuse_unused(asked, observe, flow, rate)
+    names = (parameter,) if isinstance(parameter, str) else tuple(parameter)
+    wanted = wishes.wanted_of(asked, observe, len(names))
     say = report or (lambda text: None)
-    if not isinstance(parameter, str):
-        wishes = {"viscosity": viscosity, "pressure": pressure, "target": target}
-        setup = (observe, flow, rate, density, tolerance, box, boxes, dt, integrator)
-        found = _several(fluid, tuple(parameter), wishes, key, setup, optimiser, say)
-        return dataclasses.replace(
-            found, seconds=clock.seconds, compile_seconds=clock.compile_seconds
-        )
-    _check_goal(viscosity, pressure, target, observe)
-    guess = _first_guess(fluid, parameter, guess, viscosity, density)
-    fluid = fluid.set(energies="keep", **{parameter: guess})
-    goal = _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance)
-    say(f"equilibrating {boxes} boxes")
-    ensemble = _ensemble(fluid, goal, key, density, tolerance, box, boxes, dt, integrator, say)
-    wanted = tolerance * abs(goal.target) / SIGMAS
+    setup = wishes.Setup(
+        density, tolerance, box, boxes, dt, integrator, rate, observe, flow, say
+    )  # fmt: skip
+    if isinstance(parameter, str):
+        start = _start(fluid, parameter, wanted, density, branch, guess, atlas)
+        found = _one(fluid, parameter, wanted, key, setup, start, int(max_particle_steps))
+    else:
+        _refuse_of_one(branch, guess)
+        ahead = atlas and all(name in wishes.OF_ATLAS for name in wanted)
+        how = (bounds or {}, optimiser, ahead, int(max_particle_steps))
+        found = several(fluid, names, wanted, jax.random.fold_in(key, Domain.GOAL), setup, *how)
+    return dataclasses.replace(found, seconds=clock.seconds, compile_seconds=clock.compile_seconds)
 
-    x, points, proposal = math.log(guess), [], None
-    while True:
-        fluid = fluid.set(energies="keep", **{parameter: math.exp(x)})
-        ensemble.goal = _goal(
-            fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance
-        )
-        say(f"{parameter} {math.exp(x):.4g}: measuring")
-        coarse = not points or proposal.why == "search"
-        error = 3.0 * wanted if coarse else 0.9 * wanted
-        points.append(
-            _measure_point(
-                ensemble,
-                fluid,
-                parameter,
-                x,
-                error,
-                first=not points,
-                most=max_particle_steps,
-                say=say,
-            )
-        )
-        say(
-            f"{parameter} {math.exp(x):.4g}: {goal.name} {points[-1].value}, slope "
-            f"{points[-1].slope}"
-        )
-        proposal = propose(points, goal.target, sign)
-        _refuse_unreachable(points, proposal, goal, parameter)
-        answer = proposal.curve.at(proposal.x)
-        if proposal.why == "root" and _is_near(points, proposal) and answer.error <= wanted:
-            break
-        if len(points) >= MAX_POINTS or ensemble.steps > max_particle_steps:
-            raise TargetError(_gave_up(points, goal, parameter, ensemble), tuple(points))
-        x = proposal.x
 
+@dataclasses.dataclass(frozen=True)
+class _Start:
+    """Where a calibration of one parameter begins.
+
+    Attributes:
+        guess: the value.
+        sign: of the slope on the branch.
+        ahead: what the atlas says along the parameter; None of what it does not know.
+        is_known: whether the guess is that of the atlas.
+    """
+
+    guess: float
+    sign: int
+    ahead: Foresight | None
+    is_known: bool
+
+
+def _start(fluid, parameter, wanted, density, branch, guess, atlas: bool) -> _Start:
+    ((name, target),) = wanted.items()
+    present = fluid.value(parameter)
+    if np.ndim(present) != 0:
+        raise ValueError(
+            f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated"
+        )
+    sign = {"upper": 1, "lower": -1, None: _usual_sign(name, parameter)}[branch]
+    ahead = Foresight(fluid, density, parameter, name)
+    if not (atlas and name in wishes.OF_ATLAS and is_of_atlas(fluid, density)):
+        ahead = None
+    if guess is not None:
+        return _Start(float(positive(guess, "guess")), sign, ahead, False)
+    for side in (sign,) if branch else (sign, -sign):
+        known = None if ahead is None else ahead.root(target, side)
+        if known is not None:
+            return _Start(known, side, ahead, True)
+    rough = drag_guess(fluid, parameter, target, density) if name == "viscosity" else None
+    rough = float(positive(present, parameter, "give guess=")) if rough is None else rough
+    return _Start(rough, sign, ahead, False)
+
+
+def _usual_sign(name: str, parameter: str) -> int:
+    return -1 if name in wishes.FALLING and parameter in ("gamma", "a") else 1
+
+
+def _one(fluid, parameter, wanted, key, setup, start: _Start, most: int) -> Calibration:
+    """One parameter for one number."""
+    at = lambda value: fluid.set(energies="keep", **{parameter: value})
+    setup.say(f"equilibrating {setup.boxes} boxes")
+    (gauge,) = wishes.gauges_of(wanted, at(start.guess), key, setup)
+    error = setup.tolerance * abs(gauge.target) / SIGMAS
+    if start.is_known:
+        setup.say(f"the atlas has {gauge.name} {gauge.target:g} at {parameter} {start.guess:.4g}")
+    point = _Pointing(gauge, parameter, start.ahead, most, setup.say)
+    points, proposal = _followed(at, point, start, error)
     value = math.exp(proposal.x)
-    error = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
-    fluid = fluid.set(energies="keep", **{parameter: value})
-    experiment.begin_afresh(ensemble)
-    settle = 0.5 * thermal_time(fluid)
-    fresh = experiment.measure(ensemble, fluid, wanted, settle, int(max_particle_steps), say)
+    answer = proposal.curve.at(proposal.x)
+    off = value * answer.error / abs(float(proposal.curve.slope(proposal.x)))
+    fluid = at(value)
+    gauge.begin_afresh()
+    fresh = gauge.measure(fluid, error, 0.5 * thermal_time(fluid), most, setup.say)
+    if start.ahead is not None:
+        tell_contradiction(fluid, setup, gauge.name, fresh.estimate)
     return Calibration(
         parameter,
-        goal.name,
-        goal.target,
-        Estimate(value, error, len(points)),
+        gauge.name,
+        gauge.target,
+        Estimate(value, off, len(points)),
         fresh.estimate,
         fluid,
         tuple(points),
         proposal.curve,
-        ensemble.step_for(fluid),
-        float(ensemble.goal.flow.rate),
-        ensemble.steps,
-        clock.seconds,
+        fresh.dt,
+        fresh.rate,
+        steps_of([gauge]),
+        math.nan,
         fresh.temperature,
-        clock.compile_seconds,
     )
+
+
+def _followed(at, point: "_Pointing", start: _Start, wanted: float):
+    """Points that lead to the root, and what is proposed there."""
+    gauge, parameter = point.gauge, point.parameter
+    x, points, proposal = math.log(start.guess), [], None
+    while True:
+        coarse = proposal.why == "search" if points else not start.is_known
+        error = 3.0 * wanted if coarse else 0.9 * wanted
+        points.append(point.measured(at(math.exp(x)), x, error, first=not points))
+        proposal = propose(points, gauge.target, start.sign)
+        _refuse_unreachable(points, proposal, gauge, parameter)
+        answer = proposal.curve.at(proposal.x)
+        if proposal.why == "root" and _is_near(points, proposal) and answer.error <= wanted:
+            return points, proposal
+        if len(points) >= MAX_POINTS or steps_of([gauge]) > point.most:
+            raise TargetError(_gave_up(points, gauge, parameter), tuple(points))
+        x = proposal.x
+
+
+@dataclasses.dataclass(frozen=True)
+class _Pointing:
+    """How a point is measured: its value by a gauge, its slope by the atlas or the gauge.
+
+    Attributes:
+        gauge, parameter: what is measured, along what.
+        ahead: what the atlas says along the parameter, or None.
+        most: particle-steps at most.
+        say: ``say(text)`` is told of the progress.
+    """
+
+    gauge: Gauge
+    parameter: str
+    ahead: Foresight | None
+    most: int
+    say: Callable[[str], None]
+
+    def measured(self, fluid, x: float, error: float, first: bool) -> Point:
+        value = f"{self.parameter} {math.exp(x):.4g}"
+        self.say(f"{value}: measuring")
+        settle = (1.0 if first else 0.5) * thermal_time(fluid)
+        read = self.gauge.measure(fluid, error, settle, self.most, self.say, experiment.FAR)
+        slope = None if self.ahead is None else self.ahead.slope(math.exp(x))
+        if slope is None:
+            coarse = 2.0 * error
+            names = (self.parameter,)
+            (slope,) = self.gauge.slopes(fluid, names, coarse, self.most, self.say)
+        self.say(f"{value}: {self.gauge.name} {read.estimate}, slope {slope}")
+        return Point(x, read.estimate, slope)
 
 
 def measure_viscosity(
@@ -261,6 +342,7 @@ def measure_viscosity(
     box: float | None = None,
     boxes: int = 2,
     max_particle_steps: float = 2e9,
+    atlas: bool = True,
     report: Callable[[str], None] | None = None,
 ) -> experiment.Measurement:
     """The viscosity of a fluid in homogeneous shear, to a standard error of a third of the
@@ -275,11 +357,12 @@ def measure_viscosity(
     key = prng_key(key)
     positive(tolerance, "tolerance")
     density = _density(fluid, density)
-    rough = rough_viscosity(fluid, density)
-    goal = _goal(fluid, rough, None, None, None, None, rate, density, tolerance)
+    known = foretold(fluid, density, "viscosity") if atlas else None
+    rough = rough_viscosity(fluid, density) if known is None else known.value
     say = report or (lambda text: None)
+    setup = wishes.Setup(density, tolerance, box, boxes, dt, integrator, rate, say=say)
     say(f"equilibrating {boxes} boxes")
-    ensemble = _ensemble(fluid, goal, key, density, tolerance, box, boxes, dt, integrator, say)
+    ensemble = setup.ensemble(fluid, setup.viscosity_goal(fluid, rough), key)
     settle = thermal_time(fluid)
     wanted = tolerance * rough / SIGMAS
     most = int(max_particle_steps)
@@ -288,6 +371,8 @@ def measure_viscosity(
     wanted = tolerance * abs(first.estimate.value) / SIGMAS
     if first.estimate.error > wanted:
         result = experiment.measure(ensemble, fluid, wanted, 0.0, most, say)
+    if atlas:
+        tell_contradiction(fluid, setup, "viscosity", result.estimate)
     spent = {
         "particle_steps": ensemble.steps,
         "seconds": clock.seconds,
@@ -296,37 +381,23 @@ def measure_viscosity(
     return dataclasses.replace(result, **spent)
 
 
-def _several(fluid, parameters, wishes, key, setup, optimiser, say) -> JointCalibration:
-    """Several parameters: one batch of boxes for each wanted number."""
-    observe, flow, rate, density, tolerance, box, boxes, dt, integrator = setup
-    wishes = {name: value for name, value in wishes.items() if value is not None}
-    if len(wishes) != len(parameters):
-        raise ValueError(
-            f"{len(parameters)} parameters {parameters} for {len(wishes)} wanted numbers "
-            f"{tuple(wishes)}; give as many of viscosity=, pressure=, target="
-        )
-    for name in parameters:
-        _first_guess(fluid, name, None, None, density)
-    ensembles, key = [], jax.random.fold_in(key, Domain.GOAL)
-    for k, (name, value) in enumerate(wishes.items()):
-        one = {name: value}
-        _check_goal(one.get("viscosity"), one.get("pressure"), one.get("target"), observe)
-        wish = (one.get("viscosity"), one.get("pressure"), one.get("target"))
-        goal = _goal(fluid, *wish, observe, flow, rate, density, tolerance)
-        own = jax.random.fold_in(key, k)
-        ensembles.append(
-            _ensemble(fluid, goal, own, density, tolerance, box, boxes, dt, integrator, say)
-        )
-    return descend(fluid, parameters, ensembles, tolerance, optimiser, MAX_POINTS, say)
+CONTRADICTS = 3.0
+"""Standard errors off the atlas at which a run contradicts it."""
 
 
-def _measure_point(ensemble, fluid, parameter, x, error, first, most, say) -> Point:
-    settle = (1.0 if first else 0.5) * thermal_time(fluid)
-    far = experiment.FAR
-    value = experiment.measure(ensemble, fluid, error, settle, int(most), say, far).estimate
-    windows = max(1, -(-SLOPE_SAMPLES // ensemble.state.position.shape[0]))
-    (slope,) = experiment.measure_slopes(ensemble, fluid, (parameter,), windows)
-    return Point(x, value, slope)
+def tell_contradiction(fluid, setup: wishes.Setup, name: str, measured: Estimate):
+    """Warn where a run and the atlas differ by more than their errors, and what the shear rate may
+    do to it."""
+    known = foretold(fluid, setup.density, name)
+    if known is None:
+        return
+    apart = abs(measured.value - known.value) - 0.5 * setup.tolerance * abs(known.value)
+    if apart > CONTRADICTS * math.hypot(measured.error, known.error):
+        warnings.warn(
+            f"the {name} {measured} of this run contradicts the atlas, which has {known}: look at "
+            "its dt, rate and box; where they are as suggested, trust the run",
+            stacklevel=4,
+        )
 
 
 def _density(fluid, density) -> float:
@@ -335,94 +406,19 @@ def _density(fluid, density) -> float:
     )
 
 
-SIDES, LOOSE = (6.0, 10.0), 0.05
-"""Least and largest side of a box in interaction ranges, and the tolerance from which on the
-shortest runs in the largest one are better than was asked for."""
-
-
-def suggest_box(fluid: Fluid, tolerance: float) -> float:
-    """Side of the boxes for a tolerance: half the beads for twice the tolerance."""
-    least, largest = SIDES
-    side = max(least, largest * min(1.0, LOOSE / tolerance) ** (1 / 3))
-    return side * max(fluid.reaches())
-
-
-def _ensemble(fluid, goal, key, density, tolerance, box, boxes, dt, integrator, say):
-    side = suggest_box(fluid, tolerance) if box is None else box
-    return experiment.prepare(
-        fluid,
-        goal,
-        key,
-        density=density,
-        side=side,
-        boxes=boxes,
-        dt=dt,
-        integrator=integrator,
-        report=say,
-    )
-
-
-def _check_goal(viscosity, pressure, target, observe):
-    """Raise unless just one number is wanted, and one that can be."""
-    asked = {"viscosity": viscosity, "pressure": pressure, "target": target}
-    given = {name: value for name, value in asked.items() if value is not None}
-    if len(given) != 1:
-        names = " and ".join(given) or "none"
-        raise ValueError(f"give one of viscosity=, pressure= or target= with observe=; got {names}")
-    ((name, value),) = given.items()
-    if name == "viscosity":
-        positive(value, name)
-    if number(value, name) == 0:
-        raise ValueError(
-            f"{name} is 0, and no error bar is small relative to it; shift the number that is "
-            "observed"
-        )
-    if name == "target" and observe is None:
-        raise ValueError(
-            "target= needs observe=, a function observe(fluid, state) of which it is the mean"
-        )
-    if name == "target" and not callable(observe):
-        raise TypeError(f"observe is a {type(observe).__name__}; {ONE_NUMBER}")
-
-
-def _refuse_unused(viscosity, target, observe, flow, rate):
-    """Raise where an argument would be ignored without a word."""
-    for name, value, goes_with, wanted in (
-        ("observe", observe, "target", target),
-        ("flow", flow, "target", target),
-        ("rate", rate, "viscosity", viscosity),
-    ):
-        if value is not None and wanted is None:
-            raise ValueError(
-                f"{name}= is used with {goes_with}= only; give {goes_with}= or leave {name}= out"
-            )
-
-
-def _goal(fluid, viscosity, pressure, target, observe, flow, rate, density, tolerance) -> Goal:
-    if viscosity is not None:
-        damped(fluid, density)
-        if rate is None:
-            return viscosity_goal_at(fluid, density, viscosity, tolerance)
-        return viscosity_goal(viscosity, float(positive(rate, "rate")))
-    return pressure_goal(pressure) if pressure is not None else custom_goal(target, observe, flow)
-
-
-def _branch_sign(branch) -> int:
-    if branch not in ("upper", "lower"):
+def _check_branch(branch):
+    if branch not in ("upper", "lower", None):
         raise ValueError(f'branch is {branch!r}; it is "upper" (rising) or "lower" (falling)')
-    return 1 if branch == "upper" else -1
 
 
-def _first_guess(fluid, parameter, guess, viscosity, density) -> float:
-    present = fluid.value(parameter)
-    if np.ndim(present) != 0:
-        raise ValueError(
-            f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated"
-        )
-    if guess is not None:
-        return float(positive(guess, "guess"))
-    by_drag = None if viscosity is None else drag_guess(fluid, parameter, viscosity, density)
-    return float(positive(present, parameter, "give guess=")) if by_drag is None else by_drag
+def _refuse_of_one(branch, guess):
+    """Raise where an argument for one parameter would be ignored without a word."""
+    for name, value in (("branch", branch), ("guess", guess)):
+        if value is not None:
+            raise ValueError(
+                f"{name}= is of one parameter; several begin at the values of the fluid, or where "
+                "the atlas has them"
+            )
 
 
 def drag_guess(fluid, parameter: str, viscosity: float, density: float) -> float | None:
@@ -440,7 +436,7 @@ def drag_guess(fluid, parameter: str, viscosity: float, density: float) -> float
     return share * base if share > 0 else None
 
 
-def _refuse_unreachable(points, proposal, goal, parameter):
+def _refuse_unreachable(points, proposal, gauge, parameter):
     """Raise where the measured minimum lies above the target."""
     if proposal.why != "minimum":
         return
@@ -448,10 +444,10 @@ def _refuse_unreachable(points, proposal, goal, parameter):
     if (
         len(points) >= 3
         and _is_near(points, proposal)
-        and lowest.value - goal.target > 3 * lowest.error
+        and lowest.value - gauge.target > 3 * lowest.error
     ):
         raise TargetError(
-            f"{goal.name} {goal.target:g} cannot be reached with {parameter}: the smallest "
+            f"{gauge.name} {gauge.target:g} cannot be reached with {parameter}: the smallest "
             f"measured is {lowest} at {parameter} = {math.exp(proposal.x):.3g}; ask for more than "
             "that, or lower kT",
             tuple(points),
@@ -462,10 +458,11 @@ def _is_near(points, proposal) -> bool:
     return min(abs(p.x - proposal.x) for p in points) < NEAR
 
 
-def _gave_up(points, goal, parameter, ensemble) -> str:
-    best = min(points, key=lambda p: abs(p.value.value - goal.target))
+def _gave_up(points, gauge, parameter) -> str:
+    best = min(points, key=lambda p: abs(p.value.value - gauge.target))
+    spent = f"{len(points)} points and {steps_of([gauge]):.2g} particle-steps"
+    nearest = f"{gauge.name} {best.value} at {parameter} = {math.exp(best.x):.3g}"
     return (
-        f"no answer after {len(points)} points and {ensemble.steps:.2g} particle-steps: nearest is "
-        f"{goal.name} {best.value} at {parameter} = {math.exp(best.x):.3g}, wanted "
-        f"{goal.target:g}; allow more max_particle_steps, a larger tolerance, or give a guess"
+        f"no answer after {spent}: nearest is {nearest}, wanted {gauge.target:g}; allow more "
+        "max_particle_steps, a larger tolerance, or give a guess"
     )

@@ -147,7 +147,7 @@ def _equilibrate(ensemble):
     thermal = thermal_time(weak)
     dt = min(0.01 * thermal, 2 * suggest_dt(weak, ensemble.density))
     for _ in range(math.ceil(5 * thermal / (dt * EQUILIBRATION.steps) * (1 - 1e-6))):
-        ensemble.state, _ = _replayed(ensemble, System.of(weak, dt), EQUILIBRATION, standard)
+        ensemble.state, _ = replay(ensemble, System.of(weak, dt), EQUILIBRATION, standard)
         ensemble.steps += EQUILIBRATION.steps * ensemble.beads
 
 
@@ -302,12 +302,12 @@ def piece(fluid, dt: float) -> Plan:
 
 def _extend(ensemble, fluid, dt, plan):
     system, observe = ensemble.system_of(fluid, dt), ensemble.goal.observe
-    ensemble.state, frames = _replayed(ensemble, system, plan, mean(observe))
+    ensemble.state, frames = replay(ensemble, system, plan, mean(observe))
     ensemble.steps += plan.steps * ensemble.beads
     return jax.device_get(frames)
 
 
-def _replayed(ensemble, system: System, plan, observe):
+def replay(ensemble, system: System, plan, observe):
     """:func:`replayed` from the states of an ensemble, with an error where growth could not repair
     the run."""
     say = lambda: ensemble.report("compiling")

@@ -17,7 +17,12 @@ from dpdjax.measure.solvent import solvent_density
 from dpdjax.measure.spheres import Spheres, spheres, spheres_of
 from dpdjax.measure.statistics import Estimate, block_average
 from dpdjax.measure.structure import RadialDistribution, radial_distribution
-from dpdjax.measure.transport import diffusion, mean_squared_displacement, velocity_autocorrelation
+from dpdjax.measure.transport import (
+    diffusion,
+    large_system_diffusion,
+    mean_squared_displacement,
+    velocity_autocorrelation,
+)
 from dpdjax.measure.viscosity import (
     einstein_helfand,
     extrapolate,
@@ -43,6 +48,7 @@ __all__ = [
     "Estimate",
     "extrapolate",
     "green_kubo",
+    "large_system_diffusion",
     "mean_squared_displacement",
     "Moduli",
     "moduli",

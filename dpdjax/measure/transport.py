@@ -197,6 +197,32 @@ def diffusion(
     return read_diffusion(trajectory, members, shape, correlate, read, fit, memory, 3.0 / len(axes))
 
 
+BOX = 2.837297 / (6 * math.pi)
+"""Sum over the images of a periodic cube, over ``6 pi`` (Duenweg & Kremer 1993)."""
+
+
+def large_system_diffusion(
+    found: Estimate, *, viscosity: float, density: float, kT: float, side: float, mass: float = 1.0
+) -> Estimate:
+    """The self-diffusion of beads in a large system, from that in a periodic cube.
+
+    Momentum that a bead gives away comes back to it, less of it in a box: ``2.837 kT / (6 pi (eta +
+    rho m D) side)`` (Duenweg & Kremer 1993). Momentum spreads by the viscosity, and the bead that
+    it comes back to by its own diffusion, which counts where the Schmidt number is small, as in
+    most DPD fluids.
+
+    Args:
+        found: D in the box, as from :func:`diffusion`.
+        viscosity: of the fluid [energy time/length^3].
+        density: beads per volume [1/length^3].
+        kT, mass: thermal energy, mass of a bead.
+        side: of the box [length].
+    """
+    spreads = viscosity + density * mass * found.value
+    added = BOX * kT / (spreads * side)
+    return Estimate(found.value + added, found.error, found.blocks)
+
+
 def read_diffusion(
     trajectory,
     members,

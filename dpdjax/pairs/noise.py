@@ -30,6 +30,7 @@ class Domain(enum.IntEnum):
     SPIN = 8
     FRESH_RUN = 9
     GOAL = 10
+    FIT = 11
 
 
 def step_words(key, step, channel: int = 0):

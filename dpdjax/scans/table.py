@@ -34,9 +34,6 @@ UNITS = drawing.UNITS | {
     "phi": "1",
     "box": "length",
     "density": "1/length^3",
-    "D0": "energy",
-    "kappa": "1/length",
-    "eta_0": "energy time/length^3",
     "contact_number": "1",
     "largest_cluster": "1",
 }

@@ -134,7 +134,7 @@ def test_measured_viscosity_is_as_good_as_asked(water, key, asked):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ({}, "give one of viscosity=, pressure= or target= with observe=; got none"),
+        ({}, "give one of viscosity=, .*, compressibility= or target= with observe=; got none"),
         ({"viscosity": 1.0, "pressure": 20.0}, "got viscosity and pressure"),
         ({"target": 1.0}, "target= needs observe="),
         ({"viscosity": 1.0, "branch": "left"}, "branch is 'left'; it is \"upper\""),

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import optax
 import pytest
+from synthetic import without_atlas
 
 import dpdjax as dpd
 from dpdjax.calibration import experiment, joint
@@ -17,17 +18,19 @@ GAMMA, A = 7.0, 18.0
 """Where the synthetic viscosity is 1.2 and the synthetic pressure 20."""
 
 
-def exact(fluid):
+POWERS = (("viscosity", (0.6, 0.2)), ("pressure", (0.05, 0.9)))
+"""Of both numbers those of gamma and of a."""
+
+
+def exact(fluid, powers):
     gamma, a = (float(fluid.value(name)) for name in ("gamma", "a"))
-    return {
-        "viscosity": 1.2 * (gamma / GAMMA) ** 0.6 * (a / A) ** 0.2,
-        "pressure": 20.0 * (a / A) ** 0.9 * (gamma / GAMMA) ** 0.05,
-    }
+    at = {"viscosity": 1.2, "pressure": 20.0}
+    return {n: at[n] * (gamma / GAMMA) ** p * (a / A) ** q for n, (p, q) in powers}
 
 
-def synthetic(monkeypatch, seed=0):
+def synthetic(monkeypatch, seed=0, powers=POWERS):
     rng = np.random.default_rng(seed)
-    powers = {"viscosity": {"gamma": 0.6, "a": 0.2}, "pressure": {"gamma": 0.05, "a": 0.9}}
+    slopes_of = {n: dict(zip(("gamma", "a"), each)) for n, each in powers}
 
     def prepare(fluid, goal, key, *, density, side, boxes, dt=None, integrator=None, report=None):
         keys = jax.random.split(key, boxes)
@@ -35,19 +38,19 @@ def synthetic(monkeypatch, seed=0):
             goal=goal, keys=keys, steps=0, state=SimpleNamespace(position=np.zeros((boxes, 10, 3)))
         )
 
-    def measure(ensemble, fluid, error, settle, most, report):
+    def measure(ensemble, fluid, error, settle, most, report, far=math.inf):
         ensemble.steps += 1
-        return SimpleNamespace(
-            estimate=Estimate(exact(fluid)[ensemble.goal.name] + error * rng.normal(), error)
-        )
+        value = exact(fluid, powers)[ensemble.goal.name] + error * rng.normal()
+        return SimpleNamespace(estimate=Estimate(value, error), dt=0.01, rate=0.1, temperature=1.0)
 
     def measure_slopes(ensemble, fluid, names, windows):
-        value = exact(fluid)[ensemble.goal.name]
+        value = exact(fluid, powers)[ensemble.goal.name]
         return [
-            Estimate(value * powers[ensemble.goal.name][n] * (1 + 0.1 * rng.normal()), 0.1 * value)
-            for n in names
+            Estimate(value * power * (1 + 0.1 * rng.normal()), 0.1 * abs(value * power))
+            for power in (slopes_of[ensemble.goal.name][n] for n in names)
         ]
 
+    without_atlas(monkeypatch)
     for name, function in (
         ("prepare", prepare),
         ("measure", measure),
@@ -69,7 +72,7 @@ def test_two_parameters_reach_two_targets(water, key, monkeypatch):
 
 def test_any_optax_optimiser_serves(water, key, monkeypatch):
     synthetic(monkeypatch)
-    monkeypatch.setattr("dpdjax.calibration.calibrate.MAX_POINTS", 60)
+    monkeypatch.setattr("dpdjax.calibration.joint.MAX_POINTS", 60)
     fit = dpd.calibrate(
         water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key, optimiser=optax.adam(0.1)
     )
@@ -77,7 +80,7 @@ def test_any_optax_optimiser_serves(water, key, monkeypatch):
 
 
 def test_numbers_and_parameters_must_match(water, key):
-    with pytest.raises(ValueError, match="2 parameters .* for 1 wanted numbers"):
+    with pytest.raises(ValueError, match="2 parameters for 1 wanted numbers"):
         dpd.calibrate(water, ("gamma", "a"), viscosity=1.0, key=key)
 
 
@@ -93,3 +96,50 @@ def test_error_is_in_the_parameter_itself(water, key, monkeypatch):
     fit = dpd.calibrate(water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key)
     assert 0.002 * GAMMA < fit.estimates["gamma"].error < 0.05 * GAMMA
     assert math.isclose(float(fit.fluid.value("a")), fit.estimates["a"].value, rel_tol=1e-6)
+
+
+def test_what_no_number_sees_is_told_by_name(water, key, monkeypatch):
+    synthetic(monkeypatch, powers=(("viscosity", (0.6, 0.0)), ("pressure", (0.4, 0.0))))
+    with pytest.raises(ValueError, match="viscosity and pressure do not change with a,"):
+        dpd.calibrate(water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key)
+
+
+def test_numbers_that_pull_in_one_direction_contradict(water, key, monkeypatch):
+    synthetic(monkeypatch, powers=(("viscosity", (0.6, 0.3)), ("pressure", (0.6, 0.3))))
+    with pytest.raises(dpd.TargetError, match="viscosity 1.5 and pressure 20 contradict") as raised:
+        dpd.calibrate(water, ("gamma", "a"), viscosity=1.5, pressure=20.0, key=key)
+    assert "they stay along gamma^-0.5" in str(raised.value)
+    assert raised.value.history
+
+
+def test_bounds_are_kept(water, key, monkeypatch):
+    synthetic(monkeypatch)
+    with pytest.raises(dpd.TargetError, match="at an end of their bounds") as raised:
+        dpd.calibrate(
+            water,
+            ("gamma", "a"),
+            viscosity=1.2,
+            pressure=20.0,
+            key=key,
+            bounds={"gamma": (3.0, 5.0)},
+        )
+    assert all(p.x[0] <= math.log(5.0) + 1e-9 for p in raised.value.history)
+    fit = dpd.calibrate(
+        water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key, bounds={"gamma": (3.0, 9.0)}
+    )
+    assert fit.estimates["gamma"].deviation(GAMMA) < 4
+
+
+@pytest.mark.parametrize(
+    "odd, told",
+    [
+        ({"bounds": {"s": (1.0, 2.0)}}, "bounds has s"),
+        ({"bounds": {"gamma": (8.0, 9.0)}}, "bounds of gamma are"),
+        ({"branch": "upper"}, "branch= is of one parameter"),
+        ({"guess": 3.0}, "guess= is of one parameter"),
+    ],
+)
+def test_odd_arguments(water, key, monkeypatch, odd, told):
+    synthetic(monkeypatch)
+    with pytest.raises(ValueError, match=told):
+        dpd.calibrate(water, ("gamma", "a"), viscosity=1.2, pressure=20.0, key=key, **odd)
