@@ -187,6 +187,8 @@ def fitted(rows: Rows, y, noise, *, biased: bool = False, starts: int = 3) -> Pr
 
     y, noise = np.asarray(y, float), np.asarray(noise, float)
     spread, size = np.ptp(rows.x, axis=0), max(float(np.std(y)), 1e-12)
+    # Along an axis on which all places are one any length will do.
+    spread = np.where(spread > 0, spread, 1.0)
     bound = lambda low, high: (math.log(low), math.log(high))
     bounds = [bound(0.01 * size, 100 * size), *(bound(0.05 * s, 20 * s) for s in spread)]
     bounds += [bound(1e-5 * size, size)] + ([bound(1e-4 * size, size)] if biased else [])
