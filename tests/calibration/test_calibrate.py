@@ -19,7 +19,12 @@ from dpdjax.calibration.calibrate import (
     measure_viscosity,
     rough_viscosity,
 )
-from dpdjax.calibration.goal import pressure_goal, suggest_rate, viscosity_goal_at
+from dpdjax.calibration.goal import (
+    pressure_goal,
+    suggest_rate,
+    thinning_time,
+    viscosity_goal_at,
+)
 from dpdjax.engine.flow import Flow
 
 UPPER, LOWER = 1, -1
@@ -374,3 +379,22 @@ def test_heat_is_refused(water):
         RuntimeError, match="instead of kT = 1, with shear rate 10 .*give a smaller rate="
     ):
         measure_viscosity(water, key=jax.random.key(0), rate=10.0, box=4.0, tolerance=0.2)
+
+
+@pytest.mark.parametrize(
+    "density, a, gamma, rate, ratio, off",
+    [(2.5, 100.0, 7.389, 0.4, 0.871, 0.004), (2.5, 100.0, 7.389, 0.2, 0.946, 0.006),
+     (2.5, 50.0, 7.389, 0.4, 0.969, 0.020), (8.0, 100.0, 400.0, 0.4, 0.951, 0.006)],
+)  # fmt: skip
+def test_stiff_fluids_are_sheared_slowly(density, a, gamma, rate, ratio, off):
+    """Viscosities at twice a rate over once, measured by tests/atlas/survey.py and by hand: what
+    the time that stiff beads remember says of them, and what is left at the rate suggested."""
+    fluid = dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=a, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=gamma, r_c=1.0)],
+        kT=1.0,
+    )
+    thinned = lambda rate: np.arcsinh(x := rate * thinning_time(fluid, density)) / x
+    assert thinned(2 * rate) / thinned(rate) == pytest.approx(ratio, abs=3 * off)
+    suggested = suggest_rate(fluid, density, rough_viscosity(fluid, density), 0.02)
+    assert 0.985 < thinned(suggested) and suggested < 0.35
