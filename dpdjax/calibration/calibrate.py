@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
-import numpy as np
 
 from dpdjax.calibration import experiment, wishes
 from dpdjax.calibration.curve import Curve, Point, propose
@@ -25,6 +24,7 @@ from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import drag_viscosity, thermal_time
 from dpdjax.model.summary import as_table
 from dpdjax.pairs.noise import Domain
+from dpdjax.surrogate.atlas import QUANTITIES
 from dpdjax.surrogate.foresight import Foresight, foretold, is_of_atlas
 
 MAX_POINTS = 10
@@ -189,15 +189,13 @@ def calibrate(
     names = (parameter,) if isinstance(parameter, str) else tuple(parameter)
     wanted = wishes.wanted_of(asked, observe, len(names))
     say = report or (lambda text: None)
-    setup = wishes.Setup(
-        density, tolerance, box, boxes, dt, integrator, rate, observe, flow, say
-    )  # fmt: skip
+    setup = wishes.Setup(density, tolerance, box, boxes, dt, integrator, rate, observe, flow, say)
     if isinstance(parameter, str):
         start = _start(fluid, parameter, wanted, density, branch, guess, atlas)
         found = _one(fluid, parameter, wanted, key, setup, start, int(max_particle_steps))
     else:
         _refuse_of_one(branch, guess)
-        ahead = atlas and all(name in wishes.OF_ATLAS for name in wanted)
+        ahead = atlas and all(name in QUANTITIES for name in wanted)
         how = (bounds or {}, optimiser, ahead, int(max_particle_steps))
         found = several(fluid, names, wanted, jax.random.fold_in(key, Domain.GOAL), setup, *how)
     return dataclasses.replace(found, seconds=clock.seconds, compile_seconds=clock.compile_seconds)
@@ -222,14 +220,10 @@ class _Start:
 
 def _start(fluid, parameter, wanted, density, branch, guess, atlas: bool) -> _Start:
     ((name, target),) = wanted.items()
-    present = fluid.value(parameter)
-    if np.ndim(present) != 0:
-        raise ValueError(
-            f"{parameter} is a table of shape {np.shape(present)}; only a scalar can be calibrated"
-        )
+    present = wishes.scalar(fluid, parameter)
     sign = {"upper": 1, "lower": -1, None: _usual_sign(name, parameter)}[branch]
     ahead = Foresight(fluid, density, parameter, name)
-    if not (atlas and name in wishes.OF_ATLAS and is_of_atlas(fluid, density)):
+    if not (atlas and name in QUANTITIES and is_of_atlas(fluid, density)):
         ahead = None
     if guess is not None:
         return _Start(float(positive(guess, "guess")), sign, ahead, False)

@@ -347,9 +347,14 @@ def _estimate(series, noise, scale, block: int) -> Estimate:
     series = scale * np.concatenate(series, axis=1)
     if noise[0] is not None:
         series, fitted = controlled(series, np.concatenate(noise, axis=1), blocks), 1
-    found = block_average(series, blocks)
-    widened = math.sqrt((found.blocks - 1) / max(found.blocks - 3 - fitted, 1))
-    return dataclasses.replace(found, error=found.error * widened)
+    return widened(block_average(series, blocks), fitted)
+
+
+def widened(found: Estimate, fitted: int = 0) -> Estimate:
+    """With an error that covers though it is read off few blocks, as Student's t scatters;
+    ``fitted`` numbers were told by the same blocks."""
+    wide = math.sqrt((found.blocks - 1) / max(found.blocks - 3 - fitted, 1))
+    return dataclasses.replace(found, error=found.error * wide)
 
 
 def window_time(fluid, density: float) -> float:

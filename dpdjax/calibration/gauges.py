@@ -144,6 +144,20 @@ class _ByChords:
         return found
 
 
+class _OfParts(_ByChords):
+    """What follows from other gauges, its ``parts``."""
+
+    parts: tuple[Gauge, ...]
+
+    @property
+    def ensembles(self) -> list[Ensemble]:
+        return [ensemble for part in self.parts for ensemble in part.ensembles]
+
+    def begin_afresh(self):
+        for part in self.parts:
+            part.begin_afresh()
+
+
 EACH, LAGS, LEAST_RUNS = 6, 4, 8
 """Frames of a lag, lags of a run that displacements are read off, and such runs at least, over all
 boxes."""
@@ -186,7 +200,7 @@ class Diffusion(_ByChords):
             spent += plan.steps * ensemble.beads
             if len(samples) < runs and spent < most:
                 continue
-            found = in_large(_widened(from_replicas(np.concatenate(samples))))
+            found = in_large(experiment.widened(from_replicas(np.concatenate(samples))))
             enough = max(error, abs(found.value - self.target) / far)
             say(f"diffusion {found}, wanted error {enough:.2g}")
             if found.error <= enough or spent >= most:
@@ -246,14 +260,8 @@ def _mass(fluid) -> float:
     return float(np.asarray(fluid.mass).ravel()[0])
 
 
-def _widened(found: Estimate) -> Estimate:
-    """With an error that covers though it is read off few runs, as Student's t scatters."""
-    wide = math.sqrt((found.blocks - 1) / max(found.blocks - 3, 1))
-    return dataclasses.replace(found, error=wide * found.error)
-
-
 @dataclasses.dataclass
-class Schmidt(_ByChords):
+class Schmidt(_OfParts):
     """Viscosity over mass density and diffusion.
 
     Attributes:
@@ -267,8 +275,8 @@ class Schmidt(_ByChords):
     name: str = "schmidt"
 
     @property
-    def ensembles(self) -> list[Ensemble]:
-        return [*self.viscosity.ensembles, *self.diffusion.ensembles]
+    def parts(self) -> tuple[Gauge, ...]:
+        return self.viscosity, self.diffusion
 
     def measure(self, fluid, error, settle, most, say, far=math.inf) -> Reading:
         density = self.viscosity.ensemble.density
@@ -292,13 +300,9 @@ class Schmidt(_ByChords):
             known, settle = rough.estimate, 0.0
         return gauge.measure(fluid, relative * known.value, settle, most, say)
 
-    def begin_afresh(self):
-        self.viscosity.begin_afresh()
-        self.diffusion.begin_afresh()
-
 
 @dataclasses.dataclass
-class Compressibility(_ByChords):
+class Compressibility(_OfParts):
     """``1/(density dp/d density)`` from the pressures at two densities.
 
     Attributes:
@@ -312,8 +316,8 @@ class Compressibility(_ByChords):
     name: str = "compressibility"
 
     @property
-    def ensembles(self) -> list[Ensemble]:
-        return [*self.thin.ensembles, *self.dense.ensembles]
+    def parts(self) -> tuple[Gauge, ...]:
+        return self.thin, self.dense
 
     def measure(self, fluid, error, settle, most, say, far=math.inf) -> Reading:
         low, high = self.thin.ensemble.density, self.dense.ensemble.density
@@ -330,7 +334,3 @@ class Compressibility(_ByChords):
             if found.error <= 1.1 * enough or steps_of([self]) > most:
                 return Reading(found, ends[0].dt)
             stiffness, relative = slope, 0.9 * enough / found.value
-
-    def begin_afresh(self):
-        self.thin.begin_afresh()
-        self.dense.begin_afresh()

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 
 from dpdjax.calibration.gauges import Gauge, steps_of
-from dpdjax.calibration.wishes import gauges_of
+from dpdjax.calibration.wishes import gauges_of, scalar
 from dpdjax.checks import positive
 from dpdjax.errors import TargetError
 from dpdjax.measure.statistics import Estimate
@@ -157,12 +157,9 @@ class Bounds:
             raise ValueError(f"bounds has {', '.join(sorted(odd))}; the parameters are {names}")
         ends = []
         for name in names:
-            value = fluid.value(name)
-            if np.ndim(value) != 0:
-                raise ValueError(
-                    f"{name} is a table of shape {np.shape(value)}; only a scalar can be calibrated"
-                )
-            around = float(positive(value, name, "give the fluid a value to begin with"))
+            around = float(
+                positive(scalar(fluid, name), name, "give the fluid a value to begin with")
+            )
             low, high = told.get(name, (around / WIDE, around * WIDE))
             if not 0 < low <= around <= high:
                 raise ValueError(

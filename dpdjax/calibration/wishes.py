@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 
 from dpdjax.calibration import experiment, gauges
 from dpdjax.calibration.goal import (
@@ -19,12 +20,10 @@ from dpdjax.calibration.goal import (
     viscosity_goal_at,
 )
 from dpdjax.checks import number, positive
-from dpdjax.engine.flow import Driving, Flow
+from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
 from dpdjax.model.fluid import Fluid
 
-OF_ATLAS = ("viscosity", "diffusion", "schmidt", "pressure", "compressibility")
-"""Wanted numbers that the atlas knows too."""
 ABOVE_ZERO = ("viscosity", "diffusion", "schmidt", "compressibility")
 FALLING = ("diffusion", "compressibility")
 """What falls where friction or repulsion rises."""
@@ -123,7 +122,7 @@ class _Gauges:
         return gauges.Mean(self.setup.ensemble(self.fluid, goal, key), lambda fluid: goal)
 
     def _diffusion(self, target: float, key) -> gauges.Diffusion:
-        goal = Goal("diffusion", target, custom_goal(0.0, _nothing).observe, Flow())
+        goal = custom_goal(target, _nothing, name="diffusion")
         # Where the atlas knows the viscosity no boxes need be sheared.
         viscosity = lambda: self.sheared
         return gauges.Diffusion(self.setup.ensemble(self.fluid, goal, key), target, viscosity)
@@ -159,6 +158,16 @@ def wanted_of(asked: dict[str, float | None], observe: Any, count: int) -> dict[
     for name, value in given.items():
         _check(name, value, observe)
     return {name: float(value) for name, value in given.items()}
+
+
+def scalar(fluid: Fluid, name: str):
+    """The present value of a parameter; ValueError for one that is a table."""
+    value = fluid.value(name)
+    if np.ndim(value) != 0:
+        raise ValueError(
+            f"{name} is a table of shape {np.shape(value)}; only a scalar can be calibrated"
+        )
+    return value
 
 
 def _check(name: str, value, observe):

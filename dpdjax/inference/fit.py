@@ -22,8 +22,8 @@ from dpdjax.measure.statistics import Estimate
 from dpdjax.model.units import Units
 from dpdjax.pairs.noise import Domain
 from dpdjax.scans.scan import scan
-from dpdjax.surrogate.atlas import Table, outside
-from dpdjax.surrogate.foresight import Along
+from dpdjax.surrogate.atlas import QUANTITIES, Table, outside
+from dpdjax.surrogate.foresight import ALONG, Along, reduced_of
 from dpdjax.surrogate.reduced import Reduced
 
 FIRST = 6
@@ -102,7 +102,7 @@ def fit(
         at = places.first(question, max(count, batch), _seed(key))
         surrogate = surrogate.given(running.told(at))
     while True:
-        draws = drawn(question, surrogate, running.next_key(), DRAWS)
+        draws = drawn(question, surrogate, running.key_of_draws(), DRAWS)
         z = np.stack([draws[name].ravel() for name in question.names], axis=1)
         doubt = float(np.sqrt(np.mean(places.doubt(question, surrogate, z[::20]) ** 2)))
         running.say(f"the surrogate errs by {doubt:.2f} of the errors of the data")
@@ -142,24 +142,17 @@ def _refuse_units(priors: dict[str, Prior], units: Units | None):
 def _begun(model, question: Question) -> Surrogate:
     """The atlas where it covers all that may be, else nothing yet."""
     matter, density = getattr(model, "fluid", None), getattr(model, "density", None)
-    known = {"viscosity", "diffusion", "schmidt", "pressure", "compressibility"}
-    wanted = set(question.quantities)
-    if (
-        not Table.is_shipped()
-        or matter is None
-        or question.data.controlled is not None
-        or not wanted <= known
-    ):
+    is_known = set(question.quantities) <= set(QUANTITIES) and set(question.of_model) <= set(ALONG)
+    if matter is None or question.data.controlled is not None or not is_known:
         return Free()
-    try:
-        along = Along(Reduced.of(matter, density), question.of_model)
-    except (ValueError, TypeError):
+    base = reduced_of(matter, density)
+    if base is None:
         return Free()
-    odd = set(question.of_model) - {"gamma", "a", "s", "kT", "density"}
+    along = Along(base, question.of_model)
     ends = [question.priors[name] for name in question.of_model]
     corners = np.array(np.meshgrid(*[(p.low, p.high) for p in ends])).reshape(len(ends), -1).T
     inside = all(not outside(Reduced(*n)) for n in along.numbers(corners))
-    return OfAtlas(along, Table.shipped()) if inside and not odd else Free()
+    return OfAtlas(along, Table.shipped()) if inside else Free()
 
 
 @dataclasses.dataclass
@@ -185,7 +178,6 @@ class _Running:
     done: list[Told] = dataclasses.field(default_factory=list)
     particle_steps: float = 0.0
     seconds: float = 0.0
-    _keys: int = 0
 
     def __post_init__(self):
         self._began = time.monotonic()
@@ -196,9 +188,9 @@ class _Running:
         if self.report is not None:
             self.report(text)
 
-    def next_key(self):
-        self._keys += 1
-        return jax.random.fold_in(jax.random.fold_in(self.key, Domain.GOAL), self._keys)
+    def key_of_draws(self):
+        """Of draws after so many batches."""
+        return jax.random.fold_in(jax.random.fold_in(self.key, Domain.GOAL), self.count)
 
     def _key_of(self, batch: int):
         """Of a batch of runs, those of the checks being batch 0."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from dpdjax.measure.statistics import Estimate
 from dpdjax.surrogate.atlas import Table
-from dpdjax.surrogate.foresight import Along
+from dpdjax.surrogate.foresight import PROCESSES, Along
 from dpdjax.surrogate.process import Process, Rows, fitted, namespace
 
 
@@ -99,7 +99,7 @@ class OfAtlas:
 
     def given(self, told: list[Told]) -> "OfAtlas":
         table = self.table
-        for name in ("viscosity", "diffusion"):
+        for name in PROCESSES:
             some = [one for one in told if name in one.found]
             if some:
                 table = table.with_more(name, *self._numbers(name, some))

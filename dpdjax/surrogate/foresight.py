@@ -41,21 +41,23 @@ def foretold(fluid: Fluid, density: float, quantity: str) -> Estimate | None:
 
 
 def _covered(fluid: Fluid, density: float) -> Reduced | None:
-    if not is_of_atlas(fluid, density):
-        return None
-    state = Reduced.of(fluid, density)
-    return None if outside(state) else state
+    state = reduced_of(fluid, density)
+    return None if state is None or outside(state) else state
 
 
 def is_of_atlas(fluid: Fluid, density: float) -> bool:
     """Whether a fluid is of the kind that the atlas is of, covered or not."""
+    return reduced_of(fluid, density) is not None
+
+
+def reduced_of(fluid: Fluid, density: float) -> Reduced | None:
+    """A fluid in thermal units; None of a kind that the atlas is not of."""
     if not Table.is_shipped():
-        return False
+        return None
     try:
-        Reduced.of(fluid, density)
+        return Reduced.of(fluid, density)
     except (ValueError, TypeError):
-        return False
-    return True
+        return None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from dpdjax.checks import choice, plain, positive
 from dpdjax.drawing import curve, labelled, plain_log_ticks
 from dpdjax.model.fluid import Fluid
-from dpdjax.surrogate.atlas import NAMES, QUANTITIES, Table, outside, ranges
+from dpdjax.surrogate.atlas import NAMES, QUANTITIES, Table, ranges, refuse_outside
 from dpdjax.surrogate.reduced import Reduced, scale_of
 
 POINTS = 200
@@ -38,9 +38,7 @@ def plot_atlas(
     gamma = np.geomspace(*ranges(state.exponent)[NAMES[2]], POINTS)
     numbers = np.repeat(state.numbers[None], POINTS, axis=0)
     numbers[:, 2] = gamma
-    told = outside(Reduced(*numbers[0], units=state.units))
-    if told:
-        raise ValueError(f"outside of the atlas: {told}")
+    refuse_outside(Reduced(*numbers[0], units=state.units))
     value, error = table.at(numbers)[quantity]
     value = value * scale_of(quantity, state.units)
     unit = state.units.scale("friction")

@@ -22,9 +22,6 @@ COLUMNS = (
     "density a gamma s viscosity viscosity_error viscosity_fast viscosity_fast_error rate "
     "diffusion diffusion_error pressure pressure_error"
 ).split()
-BOX = 2.837 / (6 * np.pi)
-"""What a periodic cube takes from self-diffusion, over ``kT/(viscosity side)`` (Duenweg & Kremer
-1993)."""
 
 
 def rows_of(path) -> np.ndarray:
@@ -43,8 +40,12 @@ def _in_a_large_system(frame) -> dict:
     """Diffusion without the box, which takes of it what momentum that comes back would add: it
     spreads by viscosity and by beads alike."""
     D, error = frame["diffusion"].to_numpy(float), frame["diffusion_error"].to_numpy(float)
-    spreads = frame["viscosity"].to_numpy(float) + frame["density"].to_numpy(float) * D
-    added = BOX / (spreads * frame["side"].to_numpy(float))
+    each = frame[["viscosity", "density", "side"]].to_dict("records")
+    large = [
+        dpd.measure.large_system_diffusion(dpd.Estimate(value, 0.0), kT=1.0, **state).value
+        for value, state in zip(D, each)
+    ]
+    added = np.array(large) - D
     return {"diffusion": D + added, "diffusion_error": np.hypot(error, 0.05 * added)}
 
 
