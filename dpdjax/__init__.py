@@ -25,6 +25,7 @@ _HOMES = {
     "dpdjax.prepare.start": ["initial_state"],
     "dpdjax.prepare.suspension": ["suspension"],
     "dpdjax.prepare.marbles": ["marbles"],
+    "dpdjax.prepare.molecules": ["molecules"],
     "dpdjax.measure.statistics": ["Estimate"],
     "dpdjax.measure.transport": ["diffusion"],
     "dpdjax.measure.viscosity": ["shear_viscosity"],
@@ -44,6 +45,7 @@ _HOMES = {
     ],
     "dpdjax.files.checkpoint": ["Checkpoint"],
     "dpdjax.files.gsd": ["GSD", "gsd_writer", "write_gsd"],
+    "dpdjax.files.lammps": ["load_lammps"],
     "dpdjax.files.loading": ["load_gsd"],
     "dpdjax.files.states": ["load_state", "save_state"],
     "dpdjax.host.plot": ["plot_box", "plot_flow_curve", "plot_profile", "plot_run"],
@@ -76,6 +78,7 @@ _ELSEWHERE = {
     "dump": "write_gsd",
     "run_to_gsd": "run",
     "restart": "load_state",
+    "read_data": "load_lammps",
 }
 """What it is called in other programs, and here."""
 __version__ = "0.1.0"

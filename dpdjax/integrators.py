@@ -1,5 +1,6 @@
 """How beads move on in time, and the parts that an integrator of your own is made of."""
 
+from dpdjax.engine.barostat import CellRescaling
 from dpdjax.engine.choice import cheapest
 from dpdjax.engine.forces import EVERYTHING, UNDAMPED, forces_on, update_lists
 from dpdjax.engine.implicit import ImplicitDrag, damped
@@ -16,6 +17,7 @@ from dpdjax.model.beads import inertias, masses
 from dpdjax.pairs.sums import Forces
 
 __all__ = [
+    "CellRescaling",
     "cheapest",
     "damped",
     "Drift",

@@ -1,5 +1,13 @@
 """Laws of pairs, and what a law of your own can declare of itself."""
 
+from dpdjax.model.bonded_laws import (
+    cosine_angle,
+    cosine_dihedral,
+    fene_bond,
+    harmonic_bond,
+    harmonic_cosine,
+    ryckaert_bellemans,
+)
 from dpdjax.model.colloid_laws import (
     asakura_oosawa,
     balanced_cut,
@@ -40,7 +48,12 @@ __all__ = [
     "bounded",
     "central_drag",
     "contact",
+    "cosine_angle",
+    "cosine_dihedral",
+    "fene_bond",
     "friction",
+    "harmonic_bond",
+    "harmonic_cosine",
     "Interaction",
     "interaction",
     "literal_drag",
@@ -52,6 +65,7 @@ __all__ = [
     "projected",
     "proportional_to",
     "reaches",
+    "ryckaert_bellemans",
     "scaled_contact",
     "scripts_repulsion",
     "shifted_repulsion",

@@ -1,6 +1,7 @@
 """What a run can record: functions ``observe(fluid, state)``, and ways to add them up."""
 
 from dpdjax.engine.observables import (
+    box,
     configurational_temperature,
     instantaneous_viscosity,
     momentum,
@@ -13,6 +14,7 @@ from dpdjax.engine.observables import (
     stresses,
     temperature,
 )
+from dpdjax.engine.profiles import pressure_in_slabs
 from dpdjax.engine.record import Recorder, integral, mean
 from dpdjax.files.gsd import gsd_record
 from dpdjax.measure.viscosity import (
@@ -24,6 +26,7 @@ from dpdjax.measure.viscosity import (
 from dpdjax.pairs.box import displacement
 
 __all__ = [
+    "box",
     "configurational_temperature",
     "displacement",
     "einstein_helfand_record",
@@ -35,6 +38,7 @@ __all__ = [
     "momentum",
     "positions",
     "positions_of",
+    "pressure_in_slabs",
     "pressure_tensor",
     "Recorder",
     "rotational_temperature",

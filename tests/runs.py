@@ -1,7 +1,9 @@
 """Runs of every kind whose answers are known: random walks carried by a flow, and noise about the
 right means.
 
-A fluid of points and spheres that do not see each other, in a box of unequal sides.
+A fluid of points and spheres that do not see each other, in a box of unequal sides. A point and a
+sphere make a molecule, of which each goes its own way: the vector between them, that of nearest
+images, is anywhere in the box.
 """
 
 import dataclasses
@@ -86,7 +88,8 @@ def system():
         inertia=[None, LIGHT],
     )
     state = dpd.initial_state(fluid, jax.random.key(0), box=SIDES, n=[POINTS, SPHERES], dt=DT)
-    return fluid, state
+    pairs = np.arange(POINTS)[:, None] + [0, POINTS]
+    return fluid, state.bonded({"pair": pairs})
 
 
 def joined(members, fluid, flow):

@@ -1,5 +1,5 @@
-"""Architecture: numbers flow model -> pairs -> engine -> prepare -> measure -> surrogate ->
-calibration, and imports point the same way."""
+"""Architecture: numbers flow model -> pairs -> bonded -> engine -> prepare -> measure -> surrogate
+-> calibration, and imports point the same way."""
 
 import ast
 import importlib
@@ -15,6 +15,7 @@ ROOT = pathlib.Path(dpdjax.__file__).parent
 ROOMS = [
     "model",
     "pairs",
+    "bonded",
     "engine",
     "prepare",
     "measure",
@@ -26,8 +27,8 @@ HOST = {"files", "host", "cli"}
 PAIRS = "box noise cells geometry laws sums kernels neighbours forces friction".split()
 ENGINE = (
     "compensated compiling status batching rotation state answers deformation drivers flow order "
-    "forces observables integrator implicit part system multistep choice soundness motion record "
-    "joining tables trajectory refusals simulate members chunk"
+    "forces observables profiles integrator implicit part system multistep barostat choice "
+    "soundness motion record joining tables trajectory refusals simulate members chunk"
 ).split()
 """The files of two rooms, each built on those before it."""
 

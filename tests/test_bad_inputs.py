@@ -3,6 +3,7 @@ error of this package, a TypeError or a ValueError names the argument."""
 
 import dataclasses
 import math
+import pathlib
 import warnings
 
 import hypothesis
@@ -82,6 +83,9 @@ def calls(fresh):
         progress=False,
         observe=[dpd.observe.standard, dpd.observe.positions],
     )
+    trios = np.arange(60).reshape(20, 3)
+    bonds = {"bond": np.concatenate([trios[:, :2], trios[:, 1:]]), "angle": trios}
+    chained = dataclasses.replace(ran, final=ran.final.bonded(bonds))
     box = {
         "box": 3.5,
         "density": 3.0,
@@ -91,6 +95,8 @@ def calls(fresh):
         "dt": 0.01,
         "sheared": True,
     }
+    how_to_load = {"flow": None, "groups": {}, "exclude": 0, "skin": 0.3, "dt": 0.01}
+    how_to_load["sheared"] = True
     one = lambda key, gamma: {"y": 1.0}
     written = dpd.run(
         matter, fresh, KEY, 0.01, dpd.Plan(2, 2), observe=dpd.observe.gsd_record, progress=False
@@ -161,6 +167,37 @@ def calls(fresh):
             dpd.measure.mean_squared_displacement,
             {"trajectory": ran, "species": None, "t_max": 0.06, "axes": "yz"},
         ),
+        "molecules_of": (dpd.measure.molecules_of, {"what": chained}),
+        "chains": (dpd.measure.chains, {"what": chained, "length": 3, "species": [0, 0, 0]}),
+        "end_to_end": (
+            dpd.measure.end_to_end,
+            {"trajectory": chained, "length": 3, "species": 0, "t_max": 0.1},
+        ),
+        "radius_of_gyration": (
+            dpd.measure.radius_of_gyration,
+            {"trajectory": chained, "length": None, "species": 0},
+        ),
+        "rouse_modes": (
+            lambda **x: dpd.measure.rouse_modes(**x).error,
+            {"trajectory": chained, "t_max": 0.1},
+        ),
+        "bond_lengths": (
+            dpd.measure.bond_lengths,
+            {"trajectory": chained, "name": "bond", "bins": 5},
+        ),
+        "angles": (dpd.measure.angles, {"trajectory": chained, "name": "angle", "bins": 5}),
+        "order_parameter": (
+            dpd.measure.order_parameter,
+            {"trajectory": chained, "name": "bond", "head": None, "normal": "y"},
+        ),
+        "area_per_lipid": (
+            dpd.measure.area_per_lipid,
+            {"trajectory": chained, "normal": "z", "leaflets": 2, "length": 3, "species": 0},
+        ),
+        "molecular_displacement": (
+            dpd.measure.molecular_displacement,
+            {"trajectory": chained, "length": 3, "species": 0, "t_max": 0.06, "axes": "yz"},
+        ),
         "radial_distribution": (dpd.measure.radial_distribution, {"trajectory": ran}),
         "block_average": (dpd.measure.block_average, {"series": np.arange(20.0), "blocks": 4}),
         "scan": (
@@ -176,17 +213,33 @@ def calls(fresh):
             },
         ),
         "load_state": (dpd.load_state, {"path": "nowhere.npz"}),
-        "load_gsd": (dpd.load_gsd, {"path": "water.gsd", "frame": 0, "fluid": matter}),
+        "load_gsd": (
+            dpd.load_gsd,
+            {"path": "water.gsd", "frame": 0, "fluid": matter} | how_to_load,
+        ),
+        "load_lammps": (
+            dpd.load_lammps,
+            {"path": "water.data", "fluid": matter, "atom_style": "atomic"} | how_to_load,
+        ),
         "water_units": (dpd.water_units, {"time": "thermal"}),
         "Estimate": (lambda **x: str(dpd.Estimate(**x)), {"value": 1.0, "error": 0.1}),
     }
 
 
+def lammps_data(state) -> str:
+    """The beads of a state as a data file of LAMMPS."""
+    sides = [f"0 {side} {a}lo {a}hi" for a, side in zip("xyz", state.box.lengths)]
+    rows = [f"{k + 1} 1 {x} {y} {z}" for k, (x, y, z) in enumerate(state.position.tolist())]
+    head = ["water", "", f"{state.n} atoms", "1 atom types", *sides, "", "Atoms", ""]
+    return "\n".join([*head, *rows, ""])
+
+
 CASES = """term of repulsion, term of drag, term of law, fluid, set, colloid_fluid, initial_state,
 Plan,
 Plan.at, Plan.logarithmic, shear, oscillatory_shear, drive, sinusoidal_force, run, suggest_dt,
-shear_viscosity, mean_squared_displacement, radial_distribution, block_average, scan, load_state,
-load_gsd, water_units"""
+shear_viscosity, mean_squared_displacement, molecules_of, chains, end_to_end, radius_of_gyration,
+rouse_modes, bond_lengths, angles, order_parameter, area_per_lipid, molecular_displacement,
+radial_distribution, block_average, scan, load_state, load_gsd, load_lammps, water_units"""
 CASES = [name.strip() for name in CASES.split(",")]
 
 
@@ -198,6 +251,8 @@ def test_odd_values_are_taken_or_told(name, calls, tmp_path, monkeypatch):
     function, good = calls[name]
     if name == "load_gsd":
         dpd.write_gsd("water.gsd", calls["written"])
+    if name == "load_lammps":
+        pathlib.Path("water.data").write_text(lammps_data(calls["written"].final))
     bad = []
     for argument in good:
         for kind, value in ODD.items():
@@ -212,7 +267,7 @@ def test_odd_values_are_taken_or_told(name, calls, tmp_path, monkeypatch):
 def test_several_odd_values_at_once(calls, data):
     """Any two arguments, with numbers of any size too."""
     name = data.draw(
-        st.sampled_from([n for n in CASES if n not in ("run", "load_state", "load_gsd", "scan")])
+        st.sampled_from([n for n in CASES if n != "run" and n != "scan" and "load" not in n])
     )
     function, good = calls[name]
     values = st.one_of(

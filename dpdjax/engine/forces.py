@@ -1,9 +1,10 @@
-"""All that acts on the beads of a state: between pairs of them, and from outside."""
+"""All that acts on the beads of a state: between pairs of them, along bonds, and from outside."""
 
 import dataclasses
 
 import jax
 
+from dpdjax.bonded.forces import bonded_force
 from dpdjax.engine import order
 from dpdjax.engine.state import State
 from dpdjax.model.beads import masses
@@ -23,10 +24,10 @@ UNDAMPED = (CONSERVATIVE, DRIVEN)
 
 def update_lists(state: State) -> State:
     """The state with those of its lists built anew that are stale."""
-    ids = order.list_ids(state)
+    how = order.list_ids(state), state.excluded
     with jax.named_scope("neighbours"):
         neighbours = tuple(
-            lists.update(n, state.box, state.position, ids) for n in state.neighbours
+            lists.update(n, state.box, state.position, *how) for n in state.neighbours
         )
     return dataclasses.replace(state, neighbours=neighbours)
 
@@ -49,7 +50,8 @@ def forces_on(
         tally: whether with the sums over pairs (static); without, they are None.
         kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"`` (static); all
             but drag do not depend on the velocity.
-        only: places in ``fluid.interactions`` of those that act (static); all by default.
+        only: places in ``fluid.interactions`` of those that act (static); all by default. Bonds
+            act whichever do.
 
     Returns :class:`Forces`; those of two kinds are added by ``+``, and multiplied by a number.
     Raises ValueError for an unknown kind or velocities of another shape.
@@ -64,7 +66,9 @@ def forces_on(
     with jax.named_scope("forces"):
         how = tally, kinds, only
         total = pair_force(system.fluid, state, velocity, rate, key, system.dt, *how)
-        # Whatever else acts, as bonds would, is another part, and adds up here.
+        if CONSERVATIVE in kinds and system.fluid.bonded:
+            total = total + bonded_force(system.fluid, state, tally)
+        # Whatever else acts is another part, and adds up here.
         if DRIVEN in kinds:
             total = total + _driven(system, state)
     return total

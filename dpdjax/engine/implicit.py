@@ -59,7 +59,7 @@ class ImplicitDrag(Integrator):
 
     def dt_limits(self, fluid, density, sizes):
         """Those of the potentials: no drag is too strong."""
-        kept = advice.REPULSION, advice.CONTACT
+        kept = advice.REPULSION, advice.CONTACT, advice.BOND
         return [one for one in super().dt_limits(fluid, density, sizes) if one[0] in kept]
 
     def dt_errors(self, fluid, density, error=advice.ERROR):

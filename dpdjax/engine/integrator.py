@@ -41,10 +41,12 @@ class Integrator(Part):
         kinds: the kinds of force that the force of a state consists of between two steps.
         cost: a step in units of one of velocity-Verlet (measured: tests/benchmarks/STEPS.md), by
             which lists are planned and :func:`cheapest` chooses among those of the package.
+        changes_box: whether the sides of the box may change in a step.
     """
 
     kinds: ClassVar[tuple[str, ...]] = EVERYTHING
     cost: ClassVar[float] = 1.0
+    changes_box: ClassVar[bool] = False
 
     def step(self, system, state: State, key: jax.Array, tally: bool) -> State:
         """The state a step of ``system.dt`` later, its force known.
@@ -104,6 +106,10 @@ class Integrator(Part):
     def check(self, fluid: Fluid) -> None:
         """Raise TypeError or ValueError, before a run, for a fluid it cannot move or numbers of its
         own that it cannot have, which may be a batch or traced. By default all are taken."""
+
+    def check_flow(self, flow) -> None:
+        """Raise ValueError, before a run, for a flow that it does not go with. By default all
+        are taken."""
 
     def dt_limits(
         self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]
@@ -179,13 +185,17 @@ def drifted(system, state: State, lam: ArrayLike) -> tuple[State, Drift]:
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar velocity loses
     ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no jump
     when a bead crosses the boundary. Where the rate changes, the whole box follows at once (SLLOD).
-    Spheres are turned, and have their angular velocity predicted by ``lam``.
+    Spheres are turned, and have their angular velocity predicted by ``lam``. Where the sides of the
+    box change in this step they do so here, before the new forces.
     """
     # By component, (3, n): XLA vectorises along the beads, and along three numbers it cannot.
     dt, mass, velocity = system.dt, masses(system.fluid, state)[None], state.velocity.T
     kick = dt * state.force.T / mass
     with jax.named_scope("integration"):
         moved, carried = carried_along(system, state, velocity, dt * velocity + 0.5 * dt * kick)
+        if system.stretch is not None:
+            moved = stretched(moved, system.stretch)
+            carried, kick = (v / system.stretch[:, None] for v in (carried, kick))
         moved = update_lists(moved)
     if state.rotation is None:
         return moved, Drift(carried, kick, None)
@@ -264,7 +274,19 @@ def moved_on(state: State, move, strain, dt) -> State:
     image = state.image + (crossed + _along_x(periods.astype(jnp.int32) * state.image[:, 1])).T
     rests = {"position_rest": position_rest.T, "strain_rest": strain_rest, "time_rest": time_rest}
     new = {"position": position.T, "image": image, "box": box, "step": state.step + 1, "time": time}
+    if state.topology is not None:
+        new["topology"] = state.topology.folded(periods)
     return dataclasses.replace(state, **new, **rests)
+
+
+def stretched(state: State, by) -> State:
+    """The state in a box whose sides are longer by factors (3,), its beads with them."""
+    more = by - 1.0
+    move = more[:, None] * state.position.T
+    position, rest = plus(state.position.T, state.position_rest.T, move)
+    lengths, strain = state.box.lengths, state.box.strain * (by[0] / by[1])
+    new = {"position": position.T, "position_rest": rest.T}
+    return dataclasses.replace(state, **new, box=boxes.Box(lengths + more * lengths, strain))
 
 
 def _along_x(values):

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from dpdjax.bonded.topology import is_torn
 from dpdjax.engine import status as bits
 from dpdjax.engine.observables import rotational_temperature, temperature
 
@@ -15,13 +16,19 @@ FARTHEST = 0.5
 
 
 def trouble(fluid, state, dt):
-    """Bits for beads whose velocities are not finite, or that ran away."""
+    """Bits for beads whose velocities are not finite, or that ran away, and for bonds that tore."""
     velocities = (
         [state.velocity] if state.rotation is None else [state.velocity, state.rotation.velocity]
     )
     broken = jnp.any(jnp.stack([~jnp.all(jnp.isfinite(v)) for v in velocities]))
     lost = _is_hot(fluid, state) | _outruns_lists(state, dt)
-    return bits.flag(broken, bits.NOT_FINITE) | bits.flag(lost & ~broken, bits.RUN_AWAY)
+    trouble = bits.flag(broken, bits.NOT_FINITE) | bits.flag(lost & ~broken, bits.RUN_AWAY)
+    return trouble | bits.flag(_is_torn(state) & ~broken, bits.TORN)
+
+
+def _is_torn(state):
+    where = state.box, state.position, state.image, state.id
+    return False if state.topology is None else is_torn(state.topology, *where)
 
 
 def _is_hot(fluid, state):

@@ -196,8 +196,9 @@ class MultipleTimeStep(Integrator):
         return super().dt_errors(slow, density, error) if slow.interactions else []
 
     def _apart(self, fluid: Fluid) -> tuple[Fluid, Fluid]:
-        """The fluid with the slow interactions alone, and with the stiff ones."""
-        return fluid.only(self.slow_of(fluid)), fluid.only(self.stiff_of(fluid))
+        """The fluid with the slow interactions and the bonds, and with the stiff interactions."""
+        slow = dataclasses.replace(fluid.only(self.slow_of(fluid)), bonded=fluid.bonded)
+        return slow, fluid.only(self.stiff_of(fluid))
 
 
 def _torque(state: State):

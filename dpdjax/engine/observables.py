@@ -10,6 +10,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from dpdjax.bonded.forces import bonded_force, bonded_laplacian
 from dpdjax.engine.state import State
 from dpdjax.model.beads import inertias, masses
 from dpdjax.model.fluid import Fluid
@@ -115,8 +116,8 @@ def stresses(fluid: Fluid, state: State) -> dict:
 
 
 def positions(fluid: Fluid, state: State) -> dict:
-    """Wrapped and unwrapped positions, images, velocities, and the ``strain`` of the box, for
-    structure and diffusion.
+    """Wrapped and unwrapped positions, images, velocities, and the ``strain`` and ``lengths`` of
+    the box, for structure and diffusion.
 
     Measures unwrap by the images, in double precision: far from where it began a bead's single one
     moves in jumps.
@@ -127,13 +128,18 @@ def positions(fluid: Fluid, state: State) -> dict:
         "velocity": state.velocity,
         "image": state.image,
     }
-    return of_beads | {"strain": state.box.strain}
+    return of_beads | box(fluid, state)
+
+
+def box(fluid: Fluid, state: State) -> dict:
+    """The box: its ``lengths`` (3,) [length] and its ``strain``."""
+    return {"strain": state.box.strain, "lengths": state.box.lengths}
 
 
 @functools.cache
 def positions_of(species: int) -> Callable:
     """An observable like :func:`positions` of the beads of one species alone, with the ``strain``
-    of the box.
+    and the ``lengths`` of the box.
 
     A run raises ValueError where no interaction of the fluid has
     this species as a group of its own.
@@ -141,8 +147,9 @@ def positions_of(species: int) -> Callable:
 
     def positions_of_species(fluid, state) -> dict:
         begin, end = _slots(fluid, state, species)
+        of_box = box(fluid, state)
         return {
-            name: x if name == "strain" else x[begin:end]
+            name: x if name in of_box else x[begin:end]
             for name, x in positions(fluid, state).items()
         }
 
@@ -187,6 +194,9 @@ def configurational_temperature(fluid: Fluid, state: State) -> jax.Array:
         apart = pairs.real & (pairs.r > 0)
         curvature = -slope - 2 * f / jnp.where(apart, pairs.r, 1.0)
         laplacian += 2 * jnp.sum(jnp.where(apart, curvature, 0.0))
+    if fluid.bonded:
+        gradient += bonded_force(fluid, state).force
+        laplacian += bonded_laplacian(fluid, state)
     return jnp.sum(gradient**2) / laplacian
 
 

@@ -38,7 +38,7 @@ class Part(NamedTuple):
         rotation = state.rotation
         if rotation is not None:
             rotation = dataclasses.replace(rotation, begin=rotation.begin - self.begin)
-        beads |= {"id": beads["id"] - self.begin, "rotation": rotation}
+        beads |= {"id": beads["id"] - self.begin, "rotation": rotation, "topology": None}
         return dataclasses.replace(state, **beads, neighbours=neighbours)
 
     def put(self, rows, own):
@@ -67,4 +67,5 @@ class Part(NamedTuple):
         idx = jnp.where(held.idx < n, held.idx - self.begin, self.end - self.begin)
         reference = held.reference_position[self.begin : self.end]
         grid = dataclasses.replace(grid, groups=groups)
-        return lists.restore(grid, idx, reference, held.error.code, neighbours.strain)
+        built_in = neighbours.strain, neighbours.lengths
+        return lists.restore(grid, idx, reference, held.error.code, *built_in)

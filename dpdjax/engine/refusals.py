@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.bonded.forces import measured
 from dpdjax.checks import is_concrete, positive, prng_key
 from dpdjax.engine import soundness
 from dpdjax.engine import status as bits
@@ -16,7 +17,9 @@ from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import LAST_STEP, Plan
 from dpdjax.model import advice
 from dpdjax.model.beads import radii
+from dpdjax.model.bonded import BEADS
 from dpdjax.model.fluid import Fluid
+from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.forces import interactions_of
 
 
@@ -34,9 +37,9 @@ def check_run(system: System, state, key):
             f"positions {shape} and velocities {jnp.shape(state.velocity)} must both be (beads, "
             "3); for a batch use jax.vmap, or dpd.run with a vector of keys"
         )
-    lists, wanted = len(state.neighbours), len(fluid.interactions)
-    if lists != wanted:
-        raise ValueError(f"{lists} lists for {wanted} interactions: make the state with this fluid")
+    held, wanted = len(state.neighbours), len(fluid.interactions)
+    if held != wanted:
+        raise ValueError(f"{held} lists for {wanted} interactions: make the state with this fluid")
     highest = int(np.max(np.asarray(state.species), initial=0)) if is_concrete(state.species) else 0
     if highest >= fluid.species:
         raise ValueError(
@@ -48,9 +51,11 @@ def check_run(system: System, state, key):
             f"{', '.join(fluid.origins)}: make the state with this fluid"
         )
     check_rotation(fluid, state)
+    check_bonds(fluid, state)
     check_finite(state)
     soundness.check_laws(fluid, state)
     system.integrator.check(fluid)
+    system.integrator.check_flow(system.flow)
     check_dt(system, state)
     if is_concrete(state.box.strain) and np.any(np.asarray(state.box.strain)):
         check_tilt(state)
@@ -118,6 +123,43 @@ def check_rotation(fluid, state):
             )
 
 
+def check_bonds(fluid, state):
+    """Refuse a state whose bonds are of other types than those of the fluid, or where the energy of
+    one is not finite."""
+    has = {} if state.topology is None else state.topology.beads
+    wanted = {b.name: b for b in fluid.bonded}
+    if set(has) != set(wanted):
+        told = lambda names: ", ".join(map(repr, names)) or "none"
+        raise ValueError(
+            f"the fluid has bonds of the types {told(wanted)}, the state of {told(has)}: give the "
+            "state those of the fluid, state.bonded({name: ids, ...})"
+        )
+    for name, b in wanted.items():
+        if has[name].shape[-1] != BEADS[b.kind]:
+            raise ValueError(
+                f"{name!r} is a type of {b.kind}, of {BEADS[b.kind]} beads, and the state has "
+                f"{has[name].shape[-1]} in each"
+            )
+    if is_concrete(fluid, state.position, state.box) and not fluid.is_batch:
+        with jax.ensure_compile_time_eval():
+            for b in fluid.bonded:
+                _check_energies(fluid, state, b)
+
+
+def _check_energies(fluid, state, b):
+    """Refuse a start at which a bond has no finite energy or force."""
+    q, energy, slope = map(np.asarray, measured(fluid, state, b))
+    wrong = np.flatnonzero(~(np.isfinite(energy) & np.isfinite(slope)))
+    if wrong.size:
+        k = int(wrong[0])
+        what = "is {:.4g} long" if b.kind == "bond" else "has a cosine of {:.4g}"
+        ids = np.asarray(state.topology.beads[b.name])[k].tolist()
+        raise ValueError(
+            f"{b.name!r} {k}, of the beads {ids}, {what.format(q[k])}, where its energy is "
+            f"{energy[k]:.4g}: start with beads closer together, or another law"
+        )
+
+
 def check_plan(plan, state=None):
     """Raise TypeError for anything but a :class:`Plan`, ValueError for one that outruns the count
     of the steps of a state."""
@@ -180,18 +222,17 @@ def list_trouble(fluid, state):
     for interaction, neighbours in interactions_of(fluid, state):
         code = neighbours.list.error.code
         grid = neighbours.grid
-        trouble |= bits.flag((code & 1) > 0, bits.PAIRS_OVERFLOW) | bits.flag(
-            (code & 2) > 0, bits.WINDOW_OVERFLOW
-        )
+        told = {
+            lists.PAIRS: bits.PAIRS_OVERFLOW,
+            lists.WINDOWS: bits.WINDOW_OVERFLOW,
+            sum(lists.NARROW): bits.NARROW_CELLS,
+            lists.SHORT: bits.BOX_TOO_SMALL,
+        }
+        for wrong, bit in told.items():
+            trouble |= bits.flag((code & wrong) > 0, bit)
         largest = [jnp.max(radius[begin:end]) for begin, end in grid.groups]
         reach = jnp.stack([jnp.max(r) for r in interaction.reaches(*largest, fluid.kT)])
         trouble |= bits.flag(jnp.any(reach > grid.reach * (1 + 1e-5)), bits.REACH_EXCEEDED)
-        sides = state.box.lengths
-        trouble |= bits.flag(jnp.any(sides < 2 * grid.list_radius * (1 - 1e-5)), bits.BOX_TOO_SMALL)
-        if grid.cells is not None:
-            across = jnp.asarray(grid.cells, sides.dtype) / jnp.asarray(
-                (grid.span, 1, 1), sides.dtype
-            )
-            least = across * grid.list_radius * (1 - 1e-5)
-            trouble |= bits.flag(jnp.any(sides < least), bits.BOX_TOO_SMALL)
+        is_short = (grid.misfit(state.box) & lists.SHORT) > 0
+        trouble |= bits.flag(is_short, bits.BOX_TOO_SMALL)
     return trouble

@@ -2,13 +2,17 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
+from dpdjax.bonded import topology as bonds
+from dpdjax.bonded.topology import Topology
+from dpdjax.checks import is_concrete, whole
 from dpdjax.engine import status as bits
 from dpdjax.engine.rotation import Rotation
 from dpdjax.model import summary
@@ -48,6 +52,7 @@ class State:
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
         rotation: of the beads that rotate, or None.
+        topology: which beads are bonded, or None; see :meth:`bonded`.
         started: which kinds of force ``force`` consists of, as bits
             (``Integrator.mark_of``); a run
             with an integrator of other kinds computes it first, as where it is 0.
@@ -72,6 +77,7 @@ class State:
     started: Any
     status: Any
     rotation: Rotation | None = None
+    topology: Topology | None = None
 
     def __repr__(self):
         shape = getattr(self.position, "shape", ())
@@ -79,7 +85,9 @@ class State:
             return f"State(position={self.position!r}, ...)"
         members = f"{shape[0]} members of " if len(shape) == 3 else ""
         rotating = "" if self.rotation is None else f", {self.rotation.m} of which rotate"
-        return f"State({members}{shape[-2]} beads{rotating}, {self._whereabouts()})"
+        bonds = () if self.topology is None else self.topology.counts.items()
+        bonded = "".join(f", {count} {name}" for name, count in bonds)
+        return f"State({members}{shape[-2]} beads{rotating}{bonded}, {self._whereabouts()})"
 
     def _whereabouts(self) -> str:
         if not summary.is_known(self.box, self.step, self.time, self.status):
@@ -106,6 +114,44 @@ class State:
         """All that has a row for each bead, by name: what goes where a bead goes in memory."""
         own = [f.name for f in dataclasses.fields(self) if f.metadata.get("of_bead")]
         return {name: getattr(self, name) for name in own}
+
+    def bonded(self, groups: Mapping[str, ArrayLike], *, exclude: int = 0) -> "State":
+        """The same beads with bonds, angles and dihedrals in place of any they had.
+
+        Args:
+            groups: by the names of the types in the fluid the ids of the beads, (bonds, 2),
+                (angles, 3) with the middle one second, (dihedrals, 4) along the chain.
+            exclude: pairs up to so many bonds apart do not act on each other as pairs, by
+                potentials, drag or noise; 0, as is usual in DPD, for none.
+
+        Bonded beads are the nearest images of each other. Raises ValueError for ids of no bead, or
+        a bead twice in one bond; for a batch of states, or one that is traced.
+        """
+        if not is_concrete(self.position) or self.position.ndim != 2:
+            raise ValueError("bonds are made of one state whose numbers are known")
+        apart = whole(exclude, "exclude", least=0)
+        where = self.box, self.position, self.image, self.id
+        new = dataclasses.replace(self, topology=bonds.topology(*where, groups, apart))
+        new = dataclasses.replace(new, started=jnp.zeros_like(self.started))
+        if not apart:
+            return new._with_all_pairs()
+        held = tuple(lists.excluding(n, new.excluded) for n in self.neighbours)
+        return dataclasses.replace(new, neighbours=held)
+
+    def _with_all_pairs(self) -> "State":
+        """Lists that leave nothing out, built anew where they did."""
+        if not any(n.grid.excludes for n in self.neighbours):
+            return self
+        grids = (dataclasses.replace(n.grid, excludes=False) for n in self.neighbours)
+        anew = tuple(lists.allocate(grid, self.box, self.position) for grid in grids)
+        return dataclasses.replace(self, neighbours=anew)
+
+    @property
+    def excluded(self) -> lists.Excluded | None:
+        """The pairs that no list holds, or None."""
+        if self.topology is None or self.topology.partners is None:
+            return None
+        return lists.Excluded(self.topology.partners, self.id)
 
     @property
     def unwrapped(self) -> jax.Array:
@@ -182,9 +228,9 @@ def grow(state: State, codes: Sequence[int] | None = None) -> State:
     for neighbours, code in zip(state.neighbours, codes or [3] * len(state.neighbours)):
         grid = neighbours.grid.grown(code)
         if lists.overflow(neighbours):
-            build = lambda box, position: lists.allocate(grid, box, position)
+            build = lambda box, position, out: lists.allocate(grid, box, position, excluded=out)
             build = each_member(build) if state.position.ndim == 3 else build
-            grown.append(build(state.box, state.position))
+            grown.append(build(state.box, state.position, state.excluded))
         else:
             grown.append(lists.pad(neighbours, grid))
     return dataclasses.replace(state, neighbours=tuple(grown), status=jnp.zeros_like(state.status))

@@ -12,11 +12,15 @@ BOX_TOO_SMALL = 16
 RUN_AWAY = 32
 BAD_LAW = 64
 UNSOLVED = 128
+TORN = 256
+NARROW_CELLS = 512
 
 MEANINGS = {
     PAIRS_OVERFLOW: "a neighbour list overflowed; use dpd.run, which grows it, or dpd.grow(state)",
     WINDOW_OVERFLOW: "a cell of the neighbour list overflowed; use dpd.run, which grows it, or "
     "dpd.grow(state)",
+    NARROW_CELLS: "the box became too small for the cells of a neighbour list; use dpd.run, which "
+    "makes them wider, or dpd.grow(state)",
     NOT_FINITE: "positions or velocities became NaN or infinite; use a smaller dt, or a start "
     "whose beads are further apart",
     REACH_EXCEEDED: "a term reaches further than the list was made for; make the state with this "
@@ -30,8 +34,10 @@ MEANINGS = {
     "coefficients",
     UNSOLVED: "the drag of a step was not solved for; use a smaller dt, or a larger tolerance of "
     "the integrator",
+    TORN: "a bond became longer than half a box; use stiffer bonds, a smaller dt or shear rate, or "
+    "a larger box",
 }
-OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW
+OVERFLOWS = PAIRS_OVERFLOW | WINDOW_OVERFLOW | NARROW_CELLS
 CROWDED = (
     "the beads crowd together until no neighbour list holds them; give repulsions that keep "
     "them apart"

@@ -23,12 +23,15 @@ class System:
         dt: time step [time].
         flow: what drives it from outside.
         integrator: how it moves on in time.
+        stretch: factors (3,) that the sides of the box change by in the step that is being made, or
+            None where they do not.
     """
 
     fluid: Fluid
     dt: Any
     flow: Flow
     integrator: Integrator
+    stretch: Any = None
 
     @classmethod
     def of(cls, fluid, dt, flow=None, integrator=None) -> "System":

@@ -34,7 +34,8 @@ class StoredFrames(Mapping):
         """Of every name the shape of its values, the frames in front."""
         if beads is None:
             return {}
-        own = {name: (beads.N, 3) for name in (*OF_BEADS, "unwrapped")} | {"strain": ()}
+        own = {name: (beads.N, 3) for name in (*OF_BEADS, "unwrapped")}
+        own |= {"strain": (), "lengths": (3,)}
         if beads.moment_inertia is not None and np.any(beads.moment_inertia):
             rotating = int(np.any(beads.moment_inertia, axis=1).sum())
             own |= {"orientation": (rotating, 4), "angular_velocity": (rotating, 3)}
@@ -112,26 +113,32 @@ def as_run(frame):
     """Wrapped positions (n, 3), velocities as in the file, images and strain of a frame."""
     lengths, strain = np.asarray(frame.configuration.box[:3], float), _strain(frame)
     beads = frame.particles
-    x, y, z = (beads.position.astype(float) + middle(lengths, strain)).T
-    # Single precision rounds places next to a face onto it: those stay where they are.
-    crossings = lambda s: np.where((s > -ONTO) & (s < 1 + ONTO), 0.0, np.floor(s))
+    whole = beads.position.astype(float) + middle(lengths, strain)
+    position, crossed = wrapped(whole, lengths, strain, np.float32)
+    image = np.zeros((beads.N, 3), np.int32) if beads.image is None else np.array(beads.image)
+    return position, np.array(beads.velocity, np.float32), image + crossed, strain
+
+
+def wrapped(whole, lengths, strain: float, dtype):
+    """Places (n, 3) wrapped along the axes, in a precision, and the vectors of the lattice (n, 3)
+    that each was carried over.
+
+    Rounding puts places next to a face onto it: those stay where they are.
+    """
+    onto = ONTO * np.finfo(dtype).eps
+    x, y, z = whole.T
+    crossings = lambda s: np.where((s > -onto) & (s < 1 + onto), 0.0, np.floor(s))
     rows, layers = crossings(y / lengths[1]), crossings(z / lengths[2])
     x = x - rows * strain * lengths[1]
     columns = np.floor(x / lengths[0])
     crossed = np.stack([columns, rows, layers], axis=1)
     position = np.stack([x, y, z], axis=1) - crossed * lengths
-    image = np.zeros((beads.N, 3), np.int32) if beads.image is None else np.array(beads.image)
-    inside = np.clip(position, 0.0, np.nextafter(np.float32(lengths), np.float32(0)))
-    return (
-        inside.astype(np.float32),
-        np.array(beads.velocity, np.float32),
-        image + crossed.astype(np.int32),
-        strain,
-    )
+    below = np.nextafter(lengths.astype(dtype), np.zeros((), dtype))
+    return np.clip(position, 0.0, below).astype(dtype), crossed.astype(np.int32)
 
 
-ONTO = 1e-6
-"""Share of a side within which a place is on a face."""
+ONTO = 8
+"""Roundings of a side within which a place is on a face."""
 
 
 def _strain(frame) -> float:
@@ -171,12 +178,17 @@ def _strain_told(_, file, k: int):
     return np.asarray(file.file.read_chunk(k, f"log/{FILES}strain")[0])
 
 
+def _lengths(_, file, k: int) -> np.ndarray:
+    return np.asarray(file[k].configuration.box[:3], np.float32)
+
+
 _OF_FRAME = {
     "position": _position,
     "velocity": _velocity,
     "image": _image,
     "unwrapped": _unwrapped,
     "strain": _strain_told,
+    "lengths": _lengths,
 }
 
 

@@ -19,6 +19,7 @@ from dpdjax.engine.record import Recorder
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.errors import FileError
+from dpdjax.files import molecules
 from dpdjax.files.states import refuse_existing
 from dpdjax.model.beads import inertias, masses, radii
 from dpdjax.model.colloids import solvent_reach
@@ -28,9 +29,9 @@ DRAWN_RADIUS = 0.5
 """Radius of beads that are points, for drawing alone, over the reach of those of the first species.
 """
 OF_BEADS = ("position", "velocity", "image")
-DERIVED = {positions: (*OF_BEADS, "strain", "unwrapped")}
+DERIVED = {positions: (*OF_BEADS, "strain", "lengths", "unwrapped")}
 """What observables record that is told by the beads of a file, and not logged beside them."""
-RECORDED = (*OF_BEADS, "strain")
+RECORDED = (*OF_BEADS, "strain", "lengths")
 TURNING = ("orientation", "angular_velocity")
 """Recorded too where beads rotate."""
 BEADS = "beads/"
@@ -87,6 +88,7 @@ def gsd_record(fluid: Fluid, state: State) -> dict:
         "velocity": state.velocity,
         "image": state.image,
         "strain": state.box.strain,
+        "lengths": state.box.lengths,
     }
     if state.rotation is None:
         return beads
@@ -129,7 +131,8 @@ def gsd_writer(
     velocities those of the lab where the flow is given. Images unwrap positions where the strain
     stays as it is. Beads that rotate have their orientation, moment of inertia and angular
     momentum, as HOOMD-blue means them; the others are not turned. Positions are in single
-    precision.
+    precision. Bonds, angles and dihedrals among the beads that are written are of the types of the
+    fluid by name, and in the file once.
 
     All else that was recorded is logged as ``dpdjax/...``, and temperature, pressure and potential
     energy also where HOOMD-blue logs them: ``gsd.hoomd.read_log(path)`` reads them all.
@@ -241,12 +244,14 @@ def _opened(path):
 
 
 def check_fits(path, fluid, state, species: int | None = None) -> int:
-    """The last step in a file; raises ValueError unless that is of these beads in this box."""
+    """The last step in a file; raises ValueError unless that is of these beads in this box, bonded
+    alike."""
     with reading(path) as file:
         last = file[-1] if len(file) else None
     if last is None:
         return 0
-    beads, sides = Beads.of(fluid, state, species).same, np.asarray(state.box.lengths)
+    own, sides = Beads.of(fluid, state, species), np.asarray(state.box.lengths)
+    beads = own.same
     same = all(
         np.array_equal(getattr(last.particles, name), beads[name])
         for name in ("N", "types", "typeid", "mass", "diameter")
@@ -256,6 +261,10 @@ def check_fits(path, fluid, state, species: int | None = None) -> int:
             f"{path} holds {last.particles.N} beads in a box of "
             f"{last.configuration.box[:3].tolist()}, other than the {beads['N']} in "
             f"{sides.tolist()} of this state; give another file"
+        )
+    if not molecules.are_same(last, own.bonds):
+        raise ValueError(
+            f"{path} holds beads with other bonds than those of this state; give another file"
         )
     return last.configuration.step
 
@@ -300,8 +309,9 @@ class Beads:
 
     Attributes:
         slots: of those that are written, among all.
-        lengths: sides of the box.
+        lengths: sides of the box at the start, for frames that do not record them.
         same: values by their names in a GSD file.
+        bonds: the bonds, angles and dihedrals among those that are written, by kind.
         spins: of the beads that rotate which are written, their places among those, and their
             moments of inertia; None where none rotates.
     """
@@ -309,6 +319,7 @@ class Beads:
     slots: np.ndarray
     lengths: np.ndarray
     same: dict[str, Any]
+    bonds: dict[str, molecules.Rows]
     spins: tuple[np.ndarray, np.ndarray, np.ndarray] | None
 
     @classmethod
@@ -336,26 +347,29 @@ class Beads:
             spins = own, np.searchsorted(slots, rotating[own]), inertia
             same["moment_inertia"] = np.zeros((len(slots), 3), np.float32)
             same["moment_inertia"][spins[1]] = inertia
-        return cls(slots, np.asarray(state.box.lengths, float), same, spins)
+        bonds = molecules.rows_of(fluid, state, slots)
+        return cls(slots, np.asarray(state.box.lengths, float), same, bonds, spins)
 
     def frame(self, frame, frames, log, k: int, flow):
         """A frame of a file, filled with the recorded one of number ``k`` and what is logged of it,
         in a box centred on the origin."""
         before = BEADS if BEADS + "position" in frames else ""
         of = lambda name: np.array(frames[before + name][k])
+        lengths = of("lengths").astype(float) if before + "lengths" in frames else self.lengths
         strain, rate = float(of("strain")), 0.0
         if flow is not None:
             rate = float(flow.rate_at(frames["time"][k]))
         whole, velocity = of("position"), of("velocity").astype(float)[self.slots]
-        position, columns = centred(whole.astype(float)[self.slots], self.lengths, strain)
+        position, columns = centred(whole.astype(float)[self.slots], lengths, strain)
         velocity[:, 0] += rate * position[:, 1]
         image = of("image").astype(np.int32)[self.slots]
         image[:, 0] += columns
         frame.configuration.step = int(frames["step"][k])
-        frame.configuration.box = [*self.lengths, strain, 0.0, 0.0]
+        frame.configuration.box = [*lengths, strain, 0.0, 0.0]
         moving = {"position": position, "velocity": velocity, "image": image}
         for name, value in (self.same | moving).items():
             setattr(frame.particles, name, value)
+        molecules.put(frame, self.bonds)
         if self.spins is not None:
             own, places, inertia = self.spins
             turned = (of(name).astype(float)[own] for name in TURNING)

@@ -10,13 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dpdjax.bonded.topology import Topology
 from dpdjax.checks import file_name
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
 from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.box import box
 
-FORMAT = 8
+FORMAT = 9
 
 
 def refuse_existing(path, cure: str) -> None:
@@ -79,6 +80,7 @@ def save(path, state: State, more: dict, save_arrays=np.savez) -> None:
         "grids": [_written(n.grid) for n in state.neighbours],
         "origins": list(state.tally.virial),
         "rotation": None if state.rotation is None else state.rotation.begin,
+        "topology": _types(state.topology),
         "more": more,
     }
     with replacing(path) as file:
@@ -113,20 +115,32 @@ def load(path) -> tuple[State, dict]:
 
 
 def _assembled(saved: dict, meta: dict) -> State:
-    skeleton = _skeleton(tuple(meta["origins"]), meta["rotation"])
+    skeleton = _skeleton(tuple(meta["origins"]), meta["rotation"], meta["topology"])
     leaves = [saved[name] for name in _by_name(skeleton)]
     state = jax.tree.unflatten(jax.tree.structure(skeleton), leaves)
     held = tuple(_list(saved, f"neighbours.{k}.", grid) for k, grid in enumerate(meta["grids"]))
     return dataclasses.replace(state, neighbours=held)
 
 
-def _skeleton(origins: tuple[str, ...], rotation: int | None) -> State:
+def _types(topology: Topology | None) -> dict | None:
+    """The types of bonds of a topology, and whether it leaves out pairs."""
+    if topology is None:
+        return None
+    return {"names": list(topology.beads), "partners": topology.partners is not None}
+
+
+def _skeleton(origins: tuple[str, ...], rotation: int | None, topology: dict | None) -> State:
     """A state of the same parts, without lists and without numbers."""
     beads = jnp.zeros((1, 3))
     spin = None if rotation is None else Rotation.of(beads, rotation)
     species = jnp.zeros(1, jnp.int32)
     make = lambda: assemble(box(1.0), beads, beads, species, (), origins=origins, rotation=spin)
-    return jax.eval_shape(make)
+    state = jax.eval_shape(make)
+    if topology is None:
+        return state
+    rows = {name: species for name in topology["names"]}
+    bonds = Topology(rows, rows, species if topology["partners"] else None)
+    return dataclasses.replace(state, topology=bonds)
 
 
 def _by_name(tree) -> dict:
@@ -144,4 +158,6 @@ def _written(grid: lists.Grid) -> dict:
 def _list(saved: dict, prefix: str, fields: dict) -> lists.Neighbours:
     cells, groups = fields["cells"], tuple(tuple(group) for group in fields["groups"])
     grid = lists.Grid(**{**fields, "cells": tuple(cells) if cells else None, "groups": groups})
+    # Before boxes could change their sides a list was of the sides that there are.
+    saved = {prefix + "lengths": saved["box.lengths"]} | saved
     return lists.restore(grid, **{name: saved[prefix + name] for name in lists.ARRAYS})

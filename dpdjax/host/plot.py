@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dpdjax import drawing
-from dpdjax.checks import not_negative
+from dpdjax.checks import choice, not_negative
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.host import projection
@@ -143,8 +143,9 @@ def plot_box(
         state: one state.
         ax: matplotlib axes, or None for new ones.
         fluid: tells the radii; without it all beads are points.
-        colour: of spheres: ``"depth"``, along the line of sight; ``"contacts"``, the number of
-            others closer than ``gap``; or ``"cluster"``, those joined by such contacts.
+        colour: ``"depth"``, along the line of sight; of points alone ``"species"``; of spheres
+            ``"contacts"``, the number of others closer than ``gap``, or ``"cluster"``, those joined
+            by such contacts.
         gap: surface gap of a contact [length]; by default the range of the attraction.
         solvent: thickness of the slice of points that is drawn [length]; by default one reach of
             theirs where there are no spheres, and none behind spheres.
@@ -154,8 +155,7 @@ def plot_box(
     """
     if np.ndim(state.position) != 2:
         raise ValueError("the state is a batch; draw one member, trajectory[0].final")
-    if colour not in ("depth", "contacts", "cluster"):
-        raise ValueError(f"colour is {colour!r}; it is 'depth', 'contacts' or 'cluster'")
+    choice(colour, ("depth", "species", "contacts", "cluster"), "colour")
     if axis not in (0, 1, 2):
         raise ValueError(f"axis is {axis!r}; it is 0, 1 or 2")
     solvent = None if solvent is None else float(not_negative(solvent, "solvent"))
@@ -166,7 +166,10 @@ def plot_box(
     ax = drawing.axes(ax)
     if not np.any(is_round):
         sliced = depth < (reach if solvent is None else solvent)
-        return projection.draw_slice(ax, cell, place[sliced], depth[sliced], 0.5 * reach)
+        paint = _by_species(ax, np.asarray(state.species)[sliced]) if colour == "species" else None
+        return projection.draw_slice(ax, cell, place[sliced], depth[sliced], 0.5 * reach, paint)
+    if colour == "species":
+        raise ValueError("colour is 'species', which is for points alone; spheres are of one")
     projection.draw_box(ax, cell)
     behind = ~is_round & (depth > cell.lattice[axis, axis] - (solvent or 0.0))
     projection.draw_points(ax, cell, place[behind], DOT * reach)
@@ -180,6 +183,17 @@ def plot_box(
     return projection.draw_spheres(
         ax, cell, place[is_round], radius[is_round], paint, colour != "depth"
     )
+
+
+def _by_species(ax, species):
+    """Colours (n, 3) by the species of each, and which is which."""
+    import matplotlib as mpl
+
+    hues = np.array(mpl.colormaps["tab10"].colors)[[0, 1, 7, 2, 3, 4, 5, 6, 8, 9]]
+    told = [(f"species {k}", hues[k % len(hues)]) for k in np.unique(species)]
+    patches = [mpl.patches.Patch(color=hue, label=label) for label, hue in told]
+    ax.legend(handles=patches, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return hues[species % len(hues)]
 
 
 def _by_depth(ax, cell, spheres):

@@ -74,16 +74,20 @@ class Cell:
         return np.stack([place[first], place[second]], 1), along, touches(far), touches(near)
 
 
-def draw_slice(ax, cell: Cell, position, depth, radius: float):
-    """Discs at positions (n, 3), shaded by depth (n,), and the outline of the box; returns the
-    axes."""
+def draw_slice(ax, cell: Cell, position, depth, radius: float, paint=None):
+    """Discs at positions (n, 3), shaded by depth (n,) or in colours ``paint`` (n, 3), and the
+    outline of the box; returns the axes."""
     order = np.argsort(-depth)
-    style = {"array": depth[order], "cmap": "Blues_r", "edgecolor": "0.3", "linewidth": 0.5}
+    own = (
+        {"array": depth[order], "cmap": "Blues_r"} if paint is None else {"facecolor": paint[order]}
+    )
+    style = own | {"edgecolor": "0.3", "linewidth": 0.5}
     shade = _discs(ax, position[order][:, cell.flat], radius, alpha=0.9, **style)
     first, second = cell.lattice[np.ix_(cell.flat, cell.flat)]
     outline = np.array([0 * first, first, first + second, second, 0 * first])
     ax.plot(*outline.T, color="k", lw=1)
-    ax.figure.colorbar(shade, ax=ax, label=labelled("depth", "length"))
+    if paint is None:
+        ax.figure.colorbar(shade, ax=ax, label=labelled("depth", "length"))
     (left, low), (right, high) = outline.min(axis=0), outline.max(axis=0)
     across, up = (labelled("xyz"[k], "length") for k in cell.flat)
     ax.set(xlim=(left, right), ylim=(low, high), aspect="equal", xlabel=across, ylabel=up)

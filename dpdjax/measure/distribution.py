@@ -4,9 +4,11 @@ import dataclasses
 
 import numpy as np
 
+from dpdjax.checks import choice
 from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import error_of
+from dpdjax.measure.molecules import labels_of, shared_rows
 from dpdjax.measure.reading import chosen_beads
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, nearest, of_run
 from dpdjax.measure.structure import RadialDistribution, distance_edges, whole_bins
@@ -71,6 +73,7 @@ def partial_distribution(
     *,
     bins: int = 100,
     r_max: float | None = None,
+    pairs: str = "all",
 ) -> RadialDistribution:
     """The radial distribution function between two species, or within one, by the distance of the
     centres.
@@ -81,20 +84,24 @@ def partial_distribution(
         species_a, species_b: indices of the species, the same one for the pairs within it.
         bins: shells between 0 and ``r_max``.
         r_max: largest distance [length], by default and at most half the shortest side.
+        pairs: ``"all"``, or those ``"within"`` molecules or ``"between"`` two, which add up to all:
+            each is compared with all pairs of an ideal gas.
 
     Returns a :class:`RadialDistribution`. Raises ValueError for positions of some beads only, a
-    species that is not there or has a single bead, ``r_max`` above half the shortest side, and as
-    :func:`spheres` does.
+    species that is not there or has a single bead, ``r_max`` above half the shortest side, other
+    ``pairs``, or no bonds that tell molecules, and as :func:`spheres` does.
     """
+    choice(pairs, ("all", "within", "between"), "pairs")
     a, b = (chosen_beads(trajectory, species) for species in (species_a, species_b))
     same = species_a == species_b
     if same and len(a) < 2:
         raise ValueError(f"one bead of species {species_a} has no pairs; at least 2 are needed")
     what = of_run(trajectory, chosen_beads(trajectory, None), 1.0)
     edges, points = distance_edges(what.lengths, bins, r_max), np.zeros(what.n)
-    counts = by_frame(what, lambda frame: _count(frame, a, a if same else b, edges, points))
-    pairs = len(a) * (len(b) - same) / (1 + same)
-    g = counts / (pairs * 4.0 / 3.0 * np.pi * np.diff(edges**3) / np.prod(what.lengths))
+    wanted = None if pairs == "all" else _of_molecules(trajectory, pairs == "within")
+    counts = by_frame(what, lambda frame: _count(frame, a, a if same else b, edges, points, wanted))
+    number = len(a) * (len(b) - same) / (1 + same)
+    g = counts / (number * 4.0 / 3.0 * np.pi * np.diff(edges**3) / np.prod(what.lengths))
     return RadialDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), error_of(g))
 
 
@@ -116,9 +123,17 @@ def _gap_edges(what, bins, h_min, h_max):
     return np.linspace(h_min, h_max, whole_bins(bins) + 1)
 
 
-def _count(frame, a, b, edges, radius):
+def _of_molecules(trajectory, within: bool):
+    """A function that tells which pairs of rows are of one molecule, or of two."""
+    label, ids = labels_of(trajectory.final), np.asarray(trajectory.final.id)
+    members = label[ids.reshape(-1, ids.shape[-1])]
+    label = shared_rows(members[..., None], "molecules by row")[:, 0]
+    return lambda a, b: (label[a][:, None] == label[b][None, :]) == within
+
+
+def _count(frame, a, b, edges, radius, wanted=None):
     """Pairs of beads ``a`` with beads ``b``, the same or others, in equal shells of the gap,
-    (bins,)."""
+    (bins,); those that are ``wanted(rows, columns)``."""
     bins, counts = len(edges) - 1, 0
     size = max(1, PAIRS_AT_ONCE // len(b))
     x, width = frame.position.T, (edges[-1] - edges[0]) / bins
@@ -127,6 +142,8 @@ def _count(frame, a, b, edges, radius):
         d = nearest(frame, x[:, rows, None] - x[:, None, columns])[0]
         h = np.sqrt(np.sum(d * d, axis=0)) - radius[rows][:, None] - radius[columns][None, :]
         shell = (h - edges[0]) / width
+        if wanted is not None:
+            shell[~wanted(rows, columns)] = -1.0
         if a is b:
             shell[np.tri(*h.shape, dtype=bool)] = -1.0
         counts = counts + np.bincount(

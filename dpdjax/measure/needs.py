@@ -123,6 +123,21 @@ def is_sheared(trajectory) -> bool:
     return trajectory.flow.deforms and bool(np.any(np.asarray(trajectory.flow.rate) != 0))
 
 
+def is_box_changed(trajectory) -> bool:
+    """Whether the sides of the box could change in the run."""
+    system = getattr(trajectory, "system", None)
+    return getattr(getattr(system, "integrator", None), "changes_box", False)
+
+
+def fixed_box(trajectory):
+    """Raise ValueError for a run whose box changed its sides, by which this measure divides."""
+    if is_box_changed(trajectory):
+        raise ValueError(
+            "the box of this run changed its sides, and this measure is of one that keeps them: "
+            "go on from the final state without the barostat, and measure that run"
+        )
+
+
 def is_pushed(trajectory) -> bool:
     """Whether a force or a torque drove the run."""
     return bool(trajectory.flow.drivers)

@@ -88,6 +88,7 @@ def displaced(trajectory, observe: str = "dpd.observe.positions") -> np.ndarray:
     Raises as :func:`recorded` does, and ValueError for a sheared run whose frames are a strain of
     more than :data:`COARSE` apart.
     """
+    needs.fixed_box(trajectory)
     there = getattr(trajectory, "frames", {})
     if "unwrapped" in there and "image" not in there:
         needs.unsheared(
@@ -151,8 +152,25 @@ def strains(trajectory) -> np.ndarray:
     )
 
 
+def frame_lengths(trajectory) -> np.ndarray:
+    """The sides of the box in each frame, (batch, frames, 3); ValueError for a run in which they
+    changed and that did not record them."""
+    frames = np.atleast_2d(trajectory.frames["time"]).shape
+    if not needs.is_box_changed(trajectory):
+        return np.broadcast_to(side_lengths(trajectory)[:, None], (*frames, 3))
+    if "lengths" not in trajectory.frames:
+        raise ValueError(
+            "the box of this run changed, and its sides in each frame are unknown: record them "
+            "too, as dpd.observe.positions does: observe=[..., dpd.observe.box]"
+        )
+    check_not_averaged(trajectory, "lengths", "dpd.observe.box")
+    return np.reshape(np.asarray(trajectory.frames["lengths"], float), (*frames, 3))
+
+
 def side_lengths(trajectory) -> np.ndarray:
-    """The sides of the box of each member, (batch, 3)."""
+    """The sides of the box of each member, (batch, 3); ValueError for a run in which they
+    changed."""
+    needs.fixed_box(trajectory)
     members = np.atleast_2d(trajectory.frames["time"]).shape[0]
     return np.broadcast_to(
         np.reshape(np.asarray(trajectory.final.box.lengths, float), (-1, 3)), (members, 3)

@@ -9,8 +9,10 @@ from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
-from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, shift_of
+from dpdjax.measure.reading import chosen_beads
+from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, of_run, shift_of, spheres
 from dpdjax.measure.structure import whole_bins
+from dpdjax.model.colloids import solvent_reach
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +38,11 @@ class StructureFactor:
 
 
 def structure_factor(
-    what: Trajectory | Spheres, *, q_max: float | None = None, bins: int = 60
+    what: Trajectory | Spheres,
+    *,
+    species: int | None = None,
+    q_max: float | None = None,
+    bins: int = 60,
 ) -> StructureFactor:
     """The structure factor ``S(q) = |sum exp(-i q . r)|^2 / n``, at the wave vectors of the box.
 
@@ -50,14 +56,16 @@ def structure_factor(
 
     Args:
         what: :class:`Spheres`, or a run as :func:`spheres` takes it.
-        q_max: largest wave vector [1/length], by default 2 pi over the mean radius. The work
-            grows as its cube.
+        species: of a run, whose beads scatter, spheres or points; by default the spheres.
+        q_max: largest wave vector [1/length], by default 2 pi over the mean radius, of points over
+            their reach. The work grows as its cube.
         bins: shells of equal width between 0 and ``q_max``.
 
     Raises ValueError for ``q_max`` below the smallest wave vector, and as :func:`spheres` does.
     """
     needs.warn_of_ages(what, "S(q)")
-    what, bins = as_spheres(what), whole_bins(bins)
+    what = as_spheres(what) if species is None else _of_species(what, species)
+    bins = whole_bins(bins)
     q_max = 2 * np.pi / np.mean(what.radius) if q_max is None else float(q_max)
     lowest = 2 * np.pi / np.max(what.lengths)
     if not q_max >= lowest * (1 - 1e-9):
@@ -83,6 +91,17 @@ def structure_factor(
     # Of a quotient of sums; a tilt changes the vectors of a shell little.
     scattered = (sums[:, :, 2, there] - s / vectors * sums[:, :, 0, there]) / vectors
     return StructureFactor(q / vectors, s / vectors, error_of(scattered), 2 * vectors)
+
+
+def _of_species(trajectory, species: int) -> Spheres:
+    """The beads of a species, points as spheres as large as their reach."""
+    if not hasattr(trajectory, "frames"):
+        raise TypeError("species=... is of a run; the spheres given are of one already")
+    needs.finished(trajectory)
+    beads = chosen_beads(trajectory, species)
+    if trajectory.fluid.radius[species] is not None:
+        return spheres(trajectory, species=species)
+    return of_run(trajectory, beads, np.full((1, len(beads)), solvent_reach(trajectory.fluid)))
 
 
 def _indices(what, q_max):

@@ -155,6 +155,7 @@ def spheres_of(fluid: Fluid, state: State, *, species: int | None = None) -> Sph
 
 def of_run(trajectory, beads, radius) -> Spheres:
     """Some beads of a run, with radii (batch, n)."""
+    needs.fixed_box(trajectory)
     position = of_beads(recorded(trajectory, "position"), trajectory, beads)
     lengths = _common(trajectory.final.box.lengths, "in different boxes")
     time = _common(trajectory.frames["time"], "recorded at different times")

@@ -14,7 +14,7 @@ from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
-from dpdjax.measure.reading import as_frames, recorded, side_lengths, strains
+from dpdjax.measure.reading import as_frames, frame_lengths, recorded, strains
 from dpdjax.pairs import box as boxes
 
 PAIRS_AT_ONCE = 2**20
@@ -56,7 +56,8 @@ def radial_distribution(
     of frames (and of replicas): record frames further apart than the structure lives, about one
     time unit.
 
-    Under shear it is the mean over all directions, each frame in its own tilted box.
+    Under shear it is the mean over all directions, each frame in its own tilted box; of a run at
+    constant pressure each frame is in its own box and compared with its own density.
 
     Args:
         trajectory: a run recorded with ``observe=dpd.observe.positions``, sheared or not; or
@@ -73,7 +74,9 @@ def radial_distribution(
     position, lengths, strain = _configurations(trajectory, box)
     edges = distance_edges(lengths, bins, r_max)
     counts = np.stack([count_pairs(*member, edges) for member in zip(lengths, strain, position)])
-    g = counts / expected_pairs(edges, position.shape[2], np.prod(lengths, axis=1))[:, None, :]
+    volume = np.prod(lengths, axis=-1)
+    expected = expected_pairs(edges, position.shape[2], volume.ravel())
+    g = counts / expected.reshape(*volume.shape, -1)
     return RadialDistribution(0.5 * (edges[1:] + edges[:-1]), g.mean((0, 1)), error_of(g))
 
 
@@ -99,10 +102,11 @@ def whole_bins(bins) -> int:
 
 def count_pairs(lengths, strain, position, edges):
     """Ordered pairs in equal shells between ``edges``, (frames, bins), of positions (frames, n, 3)
-    at strains (frames,)."""
+    in boxes with these ``lengths``, (3,) or (frames, 3), and strains (frames,)."""
     n = position.shape[1]
     size = max(1, min(n, PAIRS_AT_ONCE // n))
-    counts = _counts_by_block(boxes.Box(lengths, strain), position, edges[-1], len(edges) - 1, size)
+    box = boxes.Box(np.broadcast_to(lengths, (len(position), 3)), strain)
+    counts = _counts_by_block(box, position, edges[-1], len(edges) - 1, size)
     # Added up on the host: a frame of a large system can have more pairs than 32 bits count.
     return np.sum(np.asarray(counts), axis=1, dtype=float)
 
@@ -116,40 +120,39 @@ def expected_pairs(edges, n: int, volume):
 
 @functools.partial(jax.jit, static_argnames=("bins", "size"))
 def _counts_by_block(box, position, r_max, bins: int, size: int):
-    """Ordered pairs by frame, block of ``size`` beads and shell, (frames, blocks, bins) int32;
-    strains are (frames,)."""
+    """Ordered pairs by frame, block of ``size`` beads and shell, (frames, blocks, bins) int32; the
+    box is one of each frame."""
     n = position.shape[1]
     others = jnp.arange(n)[None, :]
 
-    def of_block(strain, frame, start):
+    def of_block(box, frame, start):
         beads = (start + jnp.arange(size))[:, None]
-        d = boxes.displacement(
-            boxes.Box(box.lengths, strain), frame[jnp.minimum(beads, n - 1)], frame[None, :, :]
-        )
+        d = boxes.displacement(box, frame[jnp.minimum(beads, n - 1)], frame[None, :, :])
         shell = jnp.sqrt(jnp.sum(d * d, axis=-1)) * (bins / r_max)
         shell = jnp.where((beads < n) & (beads != others), jnp.minimum(shell, bins), bins)
         return jnp.bincount(shell.astype(jnp.int32).ravel(), length=bins + 1)[:bins]
 
     starts = jnp.arange(0, n, size)
     return jax.lax.map(
-        lambda of: jax.lax.map(lambda start: of_block(*of, start), starts), (box.strain, position)
+        lambda of: jax.lax.map(lambda start: of_block(*of, start), starts), (box, position)
     )
 
 
 def _configurations(trajectory, box):
-    """Positions (batch, frames, n, 3), and the sides (batch, 3) and strains (batch, frames) of
-    their boxes."""
+    """Positions (batch, frames, n, 3), and the sides (batch, frames, 3) and strains (batch, frames)
+    of their boxes."""
     if hasattr(trajectory, "frames"):
         if box is not None:
             raise ValueError("a trajectory knows its box; give box=... only with bare positions")
         position = recorded(trajectory, "position")
-        lengths, strain = side_lengths(trajectory), strains(trajectory)
+        lengths, strain = frame_lengths(trajectory), strains(trajectory)
     else:
         if box is None:
             raise ValueError("positions alone do not tell the box; give box=...")
         position = as_frames(trajectory, "positions")
         box = box if isinstance(box, boxes.Box) else boxes.box(box)
-        lengths = np.broadcast_to(np.reshape(box.lengths, (-1, 3)), (len(position), 3))
+        sides = np.reshape(box.lengths, (-1, 1, 3))
+        lengths = np.broadcast_to(sides, (*position.shape[:2], 3))
         strain = np.broadcast_to(np.reshape(box.strain, (-1, 1)), position.shape[:2])
         _warn_of_room(position, lengths)
     if position.shape[2] < 2:
@@ -161,10 +164,10 @@ def _warn_of_room(position, lengths):
     """Warn where many bare positions leave a good part of every side of the box empty: it may be
     another box."""
     span = np.ptp(position, axis=(0, 1, 2))
-    if position.shape[2] >= 100 and np.all(span < EMPTY * lengths.min(axis=0)):
+    if position.shape[2] >= 100 and np.all(span < EMPTY * lengths.min(axis=(0, 1))):
         warnings.warn(
             f"the positions span {np.round(span, 3).tolist()} of a box of "
-            f"{np.round(lengths[0], 3).tolist()}, which scales every density and distance: give "
+            f"{np.round(lengths[0, 0], 3).tolist()}, which scales every density and distance: give "
             "the box they are in",
             stacklevel=4,
         )

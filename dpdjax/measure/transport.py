@@ -359,10 +359,10 @@ def _of_species(trajectory, name: str, species, axes: str):
     all; see :func:`_relative`."""
     values = displaced(trajectory) if name == "position" else recorded(trajectory, name)
     needs.warn_unsettled(trajectory.frames)
-    return _relative(trajectory, values, species, _columns(trajectory, axes)), values.shape
+    return _relative(trajectory, values, species, columns_of(trajectory, axes)), values.shape
 
 
-def _columns(trajectory, axes: str) -> list[int]:
+def columns_of(trajectory, axes: str) -> list[int]:
     """The axes by number; ValueError for others than some of x, y and z. Warns where all are meant
     and a force drove the run."""
     is_odd = not isinstance(axes, str) or not axes
@@ -386,10 +386,10 @@ def _relative(trajectory, values, species, columns):
         return
     of_members = np.broadcast_to(bead_masses(trajectory), (len(values), values.shape[2]))
     for member, mass in zip(values, of_members):
-        yield _without_drift(member, mass)[:, beads][..., columns]
+        yield without_drift(member, mass)[:, beads][..., columns]
 
 
-def _without_drift(values, mass):
+def without_drift(values, mass):
     """Values (frames, n, 3) relative to their mean over the mass, in double precision."""
     values = np.asarray(values, float)
     drift = np.einsum("n,fnc->fc", mass / mass.sum(), values)

@@ -366,6 +366,7 @@ def _later(trajectory, skip, need=None) -> dict:
 def _constants(trajectory):
     """Time step, volume and kT of replicas of one system."""
     refuse_scan(trajectory)
+    needs.fixed_box(trajectory)
     lengths = np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]
     return shared(trajectory.dt), float(lengths.prod()), shared(trajectory.fluid.kT)
 

@@ -10,6 +10,7 @@ from dpdjax.checks import not_negative, plain, positive
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import (
     CLOSE_NEIGHBOURS,
+    bond_frequency,
     damping_rate,
     extreme,
     is_between_colloids,
@@ -44,25 +45,34 @@ HELD, MOVED = 0.007, 4.0
 """Errors of drag by the midpoint rule, as :func:`held_errors` has them (measured there too)."""
 
 
+STRETCHED = 0.25
+"""Error of the mean square of a bond over ``(w dt)^2``, w its frequency: exact for velocity-Verlet,
+which samples a spring softer by that."""
+
+
+LENGTH = "length of bonds"
 ERRING = TEMPERATURE, STIFFNESS, *_ = (
     "temperature",
     "configurational temperature of a stiff repulsion",
     "configurational temperature at strong drag",
     "structure at strong drag",
+    LENGTH,
 )
 """What errs, as :func:`dt_errors` names it."""
 ERRING_HELD = (
     STIFFNESS,
     "viscosity, drag held in a step",
     "diffusion, drag held in a step",
+    LENGTH,
 )
 """What errs, as :func:`held_errors` names it."""
 _close = f"the damping rate of a colloid with {CLOSE_NEIGHBOURS} close neighbours"
-LIMITS = DRAG, REPULSION, LUBRICATION, CONTACT = (
+LIMITS = DRAG, REPULSION, LUBRICATION, CONTACT, BOND = (
     "drag: dt times the damping rate of a bead is to stay below 0.5",
     "conservative force: dt times the frequency of a pair is to stay below 0.5",
     f"lubrication: dt times {_close} is to stay below 1",
     "contact force: dt times the frequency of two touching colloids is to stay below 1",
+    "bonds: dt times the frequency of a bond or an angle is to stay below 0.5",
 )
 """What is unstable, as :func:`dt_limits` names it."""
 
@@ -113,7 +123,8 @@ def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tu
     In thermal units, ``w`` the :func:`damping_rate` and ``u`` the mean-field repulsion of a bead:
     the kinetic temperature by ``1.2 dt w/(w + 0.8 + 0.1 u)``; the configurational one by ``(20 +
     1.75 u) dt^2``, and at strong drag by ``-1.2 (w dt)^3.7``; how often beads overlap by ``-0.15 w
-    dt/(1 + u/1.6)``, which beads that do not repel each other feel first.
+    dt/(1 + u/1.6)``, which beads that do not repel each other feel first; the mean square of a
+    bond of frequency f by ``(f dt)^2 / 4``.
     """
     cases = (_errors(case, density, error) for case in worst_cases(fluid))
     return list(zip(ERRING, (min(limits) for limits in zip(*cases))))
@@ -130,17 +141,18 @@ def held_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[
     return list(zip(ERRING_HELD, (min(limits) for limits in zip(*cases))))
 
 
-def _held(numbers, density, error: float) -> tuple[float, float, float]:
+def _held(numbers, density, error: float) -> tuple[float, float, float, float]:
     repels = any(pair_frequency(numbers, i) > 0 for i in numbers.interactions)
-    _, stiff, _, _ = _errors(numbers, density, error)
+    _, stiff, _, _, length = _errors(numbers, density, error)
     return (
         stiff if repels else math.inf,
         over(math.sqrt(error / HELD), damping_rate(numbers, density)),
         math.sqrt(error / MOVED) * thermal_time(solvent_of(numbers)),
+        length,
     )
 
 
-def _errors(numbers, density, error: float) -> tuple[float, float, float, float]:
+def _errors(numbers, density, error: float) -> tuple[float, float, float, float, float]:
     """The dt at which each of the errors of :func:`dt_errors` is ``error``."""
     kT, rate = float(numbers.kT), damping_rate(numbers, density)
     thermal = thermal_time(solvent_of(numbers))
@@ -155,6 +167,7 @@ def _errors(numbers, density, error: float) -> tuple[float, float, float, float]
         math.sqrt(error / (STIFF + STIFFER * hard)) * thermal,
         over((error / FREEZE) ** (1.0 / FREEZE_POWER), rate),
         over(error / THIN * (1.0 + soft / THICK), rate),
+        over(math.sqrt(error / STRETCHED), bond_frequency(numbers)),
     )
 
 
@@ -172,8 +185,8 @@ def dt_limits(
     return list(zip(LIMITS, (min(limits) for limits in zip(*cases))))
 
 
-def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
-    """The largest dt that drag, conservative forces, lubrication and contacts allow."""
+def _limits(numbers, density, sizes) -> tuple[float, float, float, float, float]:
+    """The largest dt that drag, conservative forces, lubrication, contacts and bonds allow."""
     colloidal = [i for i in numbers.interactions if is_between_colloids(numbers, i)]
     others = [i for i in numbers.interactions if not is_between_colloids(numbers, i)]
     meetings = {(sizes[0], sizes[0]), sizes}
@@ -183,6 +196,7 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float]:
         longest(0.5, [pair_frequency(numbers, i) for i in others]),
         longest(1.0, [network_rate(numbers, i, pair) for i in colloidal for pair in meetings]),
         longest(1.0, [pair_frequency(numbers, i, pair) for i in colloidal for pair in meetings]),
+        longest(0.5, [bond_frequency(numbers)]),
     )
 
 

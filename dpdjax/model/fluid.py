@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.checks import choice, is_concrete, not_negative, positive, whole
 from dpdjax.model import summary
+from dpdjax.model.bonded import BEADS, Bonded, Terms, bonded
 from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
 from dpdjax.model.term import Term, Whole, check_table, coefficient, replace_coefficients, several
 
@@ -71,6 +72,7 @@ class Fluid:
         radius: of each species its radius [length], or None for points.
         inertia: of each species its moment of inertia [mass length^2], or None where it does not
             rotate.
+        bonded: one for each type of bonds, of angles and of dihedrals.
     """
 
     interactions: tuple[Interaction, ...]
@@ -78,6 +80,7 @@ class Fluid:
     mass: Any
     radius: tuple[Any, ...]
     inertia: tuple[Any, ...]
+    bonded: tuple[Bonded, ...] = ()
 
     def __repr__(self):
         return summary.short(self)
@@ -92,10 +95,15 @@ class Fluid:
         )
 
     def only(self, places: Sequence[int]) -> "Fluid":
-        """The same matter with some of its interactions alone, by their places."""
+        """The same matter with some of its interactions alone, by their places, and no bonds."""
         return dataclasses.replace(
-            self, interactions=tuple(self.interactions[place] for place in places)
+            self, interactions=tuple(self.interactions[place] for place in places), bonded=()
         )
+
+    @property
+    def parts(self) -> tuple[Interaction | Bonded, ...]:
+        """All that has terms."""
+        return self.interactions + self.bonded
 
     @property
     def species(self) -> int:
@@ -144,22 +152,24 @@ class Fluid:
         labels = [
             t.origin for i in self.interactions for t in getattr(i, kind) if t.origin is not None
         ]
+        if kind == ORIGINS[0]:
+            labels += [origin for b in self.bonded for origin in b.by_origin()]
         return tuple(dict.fromkeys((kind, *labels)))
 
     @property
     def coefficients(self) -> tuple[str, ...]:
         """The names of all coefficients; :meth:`value` has their numbers."""
         return tuple(
-            sorted({name for i in self.interactions for t in i.terms for name in t.coefficients})
+            sorted({name for part in self.parts for t in part.terms for name in t.coefficients})
         )
 
-    def value(self, name: str, *, between: Sequence | None = None) -> Any:
+    def value(self, name: str, *, between: Sequence | str | None = None) -> Any:
         """The number called ``name``: ``kT``, ``mass``, ``inertia`` (of the species that rotate) or
         a coefficient.
 
-        ``between``: the two species (or groups of species) whose terms are asked. Raises TypeError
-        for a name that no term knows, ValueError where terms disagree; where numbers are traced,
-        one on which they disagree is NaN.
+        ``between``: the two species (or groups of species) whose terms are asked, or the name of a
+        type of bonds. Raises TypeError for a name that no term knows, ValueError where terms
+        disagree; where numbers are traced, one on which they disagree is NaN.
         """
         if between is None and name in ("kT", "mass"):
             return getattr(self, name)
@@ -170,14 +180,18 @@ class Fluid:
             raise TypeError(_unknown(name, self, between))
         return _agreed(name, found)
 
-    def _between(self, between) -> tuple[Interaction, ...]:
-        """The interactions of two groups, of all by default; ValueError where there is none."""
-        groups = None if between is None else _groups(between)
-        chosen = tuple(i for i in self.interactions if groups in (None, i.groups))
+    def _between(self, between) -> tuple[Interaction | Bonded, ...]:
+        """The interactions of two groups, or a type of bonds by its name; all by default.
+        ValueError where there is none."""
+        if between is None:
+            return self.parts
+        wanted = between if isinstance(between, str) else _groups(between)
+        chosen = tuple(part for part in self.parts if _called(part) == wanted)
         if not chosen:
+            what = "type of bond" if isinstance(between, str) else "interaction between"
             raise ValueError(
-                f"no interaction between {between}; there are "
-                f"{', '.join(str(i.groups) for i in self.interactions)}"
+                f"no {what} {between!r}; there are "
+                f"{', '.join(str(_called(part)) for part in self.parts)}"
             )
         return chosen
 
@@ -193,13 +207,13 @@ class Fluid:
 
         one_more = lambda value, least: 0 if jnp.ndim(value) == least + 1 else None
         of_each = lambda values: tuple(None if x is None else one_more(x, 0) for x in values)
-        interactions = tuple(i.map_terms(axes) for i in self.interactions)
         return Fluid(
-            interactions,
+            tuple(i.map_terms(axes) for i in self.interactions),
             one_more(self.kT, 0),
             one_more(self.mass, 1),
             of_each(self.radius),
             of_each(self.inertia),
+            tuple(b.map_terms(axes) for b in self.bonded),
         )
 
     @property
@@ -208,11 +222,12 @@ class Fluid:
         return bool(jax.tree.leaves(self.batch_axes()))
 
     def set(
-        self, *, between: Sequence | None = None, energies: str | None = None, **numbers
+        self, *, between: Sequence | str | None = None, energies: str | None = None, **numbers
     ) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
-        ``between``: the two species (or groups of species) whose terms alone take them. ``kT``,
+        ``between``: the two species (or groups of species) whose terms alone take them, or the name
+        of a type of bonds. ``kT``,
         ``mass`` and ``inertia`` are set the same way, of the whole fluid; ``inertia`` of all
         species that rotate, which a new mass leaves as it is. Raises TypeError for a name that no
         term knows, ValueError for a value that no fluid can have.
@@ -242,12 +257,12 @@ class Fluid:
         )
         for name, value in numbers.items():
             check_table(name, coefficient(value, name, *_wholes(chosen, name)), self.species)
-        groups = [i.groups for i in chosen]
-        changed = lambda i: (
-            i.map_terms(lambda t: replace_coefficients(t, numbers)) if i.groups in groups else i
-        )
-        interactions = _scaled(self, kT, given) if energies == "scale" else self.interactions
-        return Fluid(tuple(map(changed, interactions)), kT, mass, self.radius, inertia)
+        named = [_called(part) for part in chosen]
+        take = lambda t: replace_coefficients(t, numbers)
+        changed = lambda part: part.map_terms(take) if _called(part) in named else part
+        old = _scaled(self, kT, given) if energies == "scale" else self
+        interactions, bonds = (tuple(map(changed, p)) for p in (old.interactions, old.bonded))
+        return Fluid(interactions, kT, mass, self.radius, inertia, bonds)
 
     @property
     def _own_numbers(self) -> tuple[str, ...]:
@@ -278,6 +293,12 @@ def interaction(
     for terms, kind in zip(parts, (POTENTIAL, FRICTION, FRICTION)):
         for t in terms:
             check_kind(t.law, kind)
+    for t in (t for terms in parts for t in terms):
+        if not t.is_bounded:
+            name = name_of(t.law)
+            raise ValueError(
+                f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)"
+            )
     for t in parts[0]:
         if t.projector != CENTRAL:
             raise ValueError(
@@ -301,6 +322,9 @@ def fluid(
     inertia: Any = None,
     species: int | None = None,
     interactions: Sequence[Interaction] = (),
+    bonds: Terms = (),
+    angles: Terms = (),
+    dihedrals: Terms = (),
 ) -> Fluid:
     """A fluid of one group of beads, of one or several species, or of several groups.
 
@@ -317,12 +341,18 @@ def fluid(
         species: how many; read off the tables, ``mass`` and ``radius`` where not given.
         interactions: of several groups, each with its own terms and its own list of neighbours, in
             place of ``conservative`` and ``drag``; from :func:`interaction`.
+        bonds, angles, dihedrals: what acts along them, e.g. ``bonds=dpd.term(
+            dpd.laws.harmonic_bond, k=4.0)``; of several types by name, ``bonds={"AA": ..., "AB":
+            ...}``. Which beads they are of is the state's, ``state.bonded({"AA": pairs, ...})``.
 
     Raises:
         ValueError: negative ``kT`` or ``gamma``, mass, radius or inertia not above zero, tables of
-            different size, groups that overlap in part, no term at all, points that rotate.
+            different size, groups that overlap in part, no term at all, points that rotate, two
+            types of bonds of one name.
         TypeError: something that is not a term.
     """
+    given = zip(BEADS, (bonds, angles, dihedrals))
+    types = tuple(b for kind, terms in given for b in bonded(kind, terms))
     interactions = tuple(interactions)
     has_own = several(conservative, "conservative") + several(drag, "drag")
     terms = [t for i in interactions for t in i.terms]
@@ -340,14 +370,33 @@ def fluid(
         everything = tuple(range(count))
         interactions = (dataclasses.replace(alone, groups=(everything, everything)),)
     _check_groups(interactions)
+    _check_types(types, interactions)
     radius, inertia = _of_each(radius, count, "radius"), _of_each(inertia, count, "inertia")
     _check_rotation(radius, inertia)
-    return Fluid(interactions, not_negative(kT, "kT"), _masses(mass, count), radius, inertia)
+    return Fluid(interactions, not_negative(kT, "kT"), _masses(mass, count), radius, inertia, types)
 
 
-def _wholes(interactions, name: str) -> list[Whole]:
+def _called(part: Interaction | Bonded):
+    """What :meth:`Fluid.set` calls a part of a fluid: its two groups, or the name of its type."""
+    return part.name if isinstance(part, Bonded) else part.groups
+
+
+def _check_types(types: tuple[Bonded, ...], interactions):
+    names = [b.name for b in types]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two types of bonds, angles or dihedrals are called {name!r}")
+    drags = {t.origin or ORIGINS[1] for i in interactions for t in i.drag}
+    for origin in (origin for b in types for origin in b.by_origin()):
+        if origin in drags:
+            raise ValueError(
+                f"the origin {origin!r} is that of a friction and of a bond: give two names"
+            )
+
+
+def _wholes(parts, name: str) -> list[Whole]:
     """The first coefficient of a name that some term takes whole, if any."""
-    terms = [t for i in interactions for t in i.terms]
+    terms = [t for part in parts for t in part.terms]
     found = [t.coefficients[name] for t in terms if name in t.coefficients]
     return [c for c in found if isinstance(c, Whole)][:1]
 
@@ -402,9 +451,7 @@ def _check_groups(interactions):
 def _warn_of_energies(fluid, kT, given):
     """Tell once for each place in a program that potentials stay while kT changes, where neither is
     said."""
-    strengths = {
-        name for i in fluid.interactions for t in i.conservative for name in t.coefficients
-    }
+    strengths = {name for t in _potentials(fluid) for name in t.coefficients}
     if (
         not strengths
         or strengths & given
@@ -423,8 +470,13 @@ def _warn_of_energies(fluid, kT, given):
         )
 
 
-def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
-    """The interactions with every potential scaled by the new kT over the old one."""
+def _potentials(fluid) -> list[Term]:
+    pairs = [t for i in fluid.interactions for t in i.conservative]
+    return pairs + [t for b in fluid.bonded for t in b.terms]
+
+
+def _scaled(fluid, kT, given) -> Fluid:
+    """The fluid with every potential scaled by the new kT over the old one."""
     if is_concrete(fluid.kT) and not np.all(np.asarray(fluid.kT) > 0):
         raise ValueError(
             'kT was 0, and energies="scale" has nothing to scale by: set the coefficients'
@@ -444,9 +496,13 @@ def _scaled(fluid, kT, given) -> tuple[Interaction, ...]:
             else replace_coefficients(t, {name: _times(t.coefficients[name], kT / fluid.kT)})
         )
 
-    return tuple(
-        dataclasses.replace(i, conservative=tuple(map(scaled, i.conservative)))
-        for i in fluid.interactions
+    return dataclasses.replace(
+        fluid,
+        interactions=tuple(
+            dataclasses.replace(i, conservative=tuple(map(scaled, i.conservative)))
+            for i in fluid.interactions
+        ),
+        bonded=tuple(b.map_terms(scaled) for b in fluid.bonded),
     )
 
 
@@ -520,7 +576,8 @@ def _agreed(name, found):
     if alike and all(np.array_equal(v, first) for v in values):
         return first
     told = "; ".join(
-        f"{_shown(v)} of {name_of(t.law)} between {i.groups}" for v, (i, t) in zip(values, found)
+        f"{_shown(v)} of {name_of(t.law)} between {_called(part)}"
+        for v, (part, t) in zip(values, found)
     )
     raise ValueError(
         f"the terms of this fluid disagree on {name!r}: {told}. Ask for one, fluid.value({name!r}, "
@@ -542,5 +599,7 @@ def _unknown(name, fluid, between=None):
             f"no term of this fluid has {name!r}; it has "
             f"{', '.join((*fluid._own_numbers, *fluid.coefficients))}"
         )
-    known = sorted({k for i in fluid._between(between) for t in i.terms for k in t.coefficients})
+    known = sorted(
+        {k for part in fluid._between(between) for t in part.terms for k in t.coefficients}
+    )
     return f"no term between {between} has {name!r}; they have {', '.join(known)}"

@@ -12,6 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import is_concrete
+from dpdjax.model.bonded import Bonded
 from dpdjax.model.fluid import Fluid, Interaction
 from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE, Whole
 
@@ -137,6 +138,67 @@ def pair_frequency(
     return math.sqrt(stiffest * (1.0 / a + 1.0 / b))
 
 
+def bond_frequency(fluid: Fluid) -> float:
+    """Fastest oscillation of two beads of a bond, or of three of an angle, by the curvature of its
+    energy where they are with 4 kT [1/time]; 0 without bonds.
+
+    ``sqrt(U'' / mu)``, and ``sqrt(6 U_theta / m) / l`` of an angle between bonds of length l: of a
+    chain the mean square over its modes. The lightest beads there are count.
+    """
+    mass = float(np.min(fluid.mass))
+    bonds = [_of_bond(fluid, b) for b in fluid.bonded if b.kind == "bond"]
+    bending = [_bending(fluid, b) for b in fluid.bonded if b.kind == "angle"]
+    stretch = max((2.0 * curvature / mass for curvature, _ in bonds), default=0.0)
+    length = min((length for _, length in bonds), default=0.0)
+    bend = 6.0 * over(max(bending, default=0.0), mass * length**2) if length else 0.0
+    return math.sqrt(max(stretch, bend))
+
+
+def thermal_length(fluid: Fluid, b: Bonded) -> float:
+    """Root of the mean square length of a bond by itself [length]."""
+    return _of_bond(fluid, b)[1]
+
+
+def _of_bond(fluid, b: Bonded) -> tuple[float, float]:
+    """Largest curvature of the energy of a bond where it is with 4 kT, and its thermal length."""
+    r = shortest_reach(fluid) * np.geomspace(1e-3, 1e2, 10 * SAMPLES)
+    energy, _, curvature = _along(fluid, b, r)
+    reached = energy - energy.min() <= 4.0 * float(fluid.kT)
+    weight = np.exp(
+        -np.where(reached, energy - energy.min(), np.inf) / max(float(fluid.kT), 1e-300)
+    )
+    # In equal steps of the logarithm: r^2 dr is r^3.
+    weight = weight * r**3
+    length = math.sqrt(float((weight * r**2).sum() / weight.sum()))
+    return float(np.max(curvature[reached], initial=0.0)), length
+
+
+def _bending(fluid, b: Bonded) -> float:
+    """Largest curvature of the energy of an angle with the angle, where it is with 4 kT."""
+    theta = np.pi * (np.arange(SAMPLES) + 0.5) / SAMPLES
+    energy, slope, curvature = _along(fluid, b, np.cos(theta))
+    bent = np.sin(theta) ** 2 * curvature - np.cos(theta) * slope
+    reached = energy - energy.min() <= 4.0 * float(fluid.kT)
+    return float(np.max(bent[reached], initial=0.0))
+
+
+def _along(fluid, b: Bonded, q):
+    """Energy, slope and curvature of a type at coordinates; infinite where the law is no number."""
+    energy, slope, curvature = np.zeros_like(q), np.zeros_like(q), np.zeros_like(q)
+    with jax.ensure_compile_time_eval():
+        at, one = jnp.asarray(q), jnp.ones(len(q))
+        for t in b.terms:
+            law, reach = t.between(np.max, kT=float(np.max(fluid.kT)))
+            inside = True if reach is None else q < float(reach)
+            rise = lambda x, law=law: jax.jvp(law, (x,), (one,))[1]
+            values = (law(at), *jax.jvp(rise, (at,), (one,)))
+            u, du, ddu = (np.nan_to_num(np.asarray(x, float), nan=np.inf) for x in values)
+            u = u if reach is None else u - float(law(jnp.asarray(reach)))
+            energy, slope = energy + np.where(inside, u, 0.0), slope + np.where(inside, du, 0.0)
+            curvature = curvature + np.where(inside, ddu, 0.0)
+    return energy, slope, curvature
+
+
 def network_rate(fluid, interaction, sizes) -> float:
     """Damping rate of the first colloid among close neighbours like the second, of its velocity or
     its spin [1/time].
@@ -192,9 +254,13 @@ def extreme(fluid: Fluid, least: str | None = None, member: int = 0) -> Fluid:
         None if x is None else extreme(np.asarray(x, float)) for x in values
     )
     radius, inertia = of_each(fluid.radius, np.max), of_each(fluid.inertia, np.min)
-    interactions = tuple(i.map_terms(of_term) for i in fluid.interactions)
     return Fluid(
-        interactions, largest(fluid.kT), mass.reshape(-1, mass.shape[-1]).min(0), radius, inertia
+        tuple(i.map_terms(of_term) for i in fluid.interactions),
+        largest(fluid.kT),
+        mass.reshape(-1, mass.shape[-1]).min(0),
+        radius,
+        inertia,
+        tuple(b.map_terms(of_term) for b in fluid.bonded),
     )
 
 
@@ -284,7 +350,7 @@ def _sampled(
 def worst_cases(fluid):
     """Fluids one of which is the worst of a scan: all numbers at their largest, and one of them at
     its smallest."""
-    terms = [t for i in fluid.interactions for t in i.terms]
+    terms = [t for part in fluid.parts for t in part.terms]
     coefficients = [(name, c) for t in terms for name, c in t.coefficients.items()]
     scanned = {name for name, c in coefficients if not isinstance(c, Whole) and np.size(c) > 1}
     for member in range(max(len(t.members) for t in terms)):

@@ -15,10 +15,10 @@ GAPS = np.linspace(0.0, 1.0, 401)
 
 
 def short(fluid) -> str:
-    """One line: the laws between every two groups."""
+    """One line: the laws between every two groups and along bonds."""
     laws = lambda i: ", ".join(dict.fromkeys(name_of(t.law) for t in i.terms))
-    pairs = "; ".join(f"{_groups(i)}: {laws(i)}" for i in fluid.interactions)
-    return f"Fluid(kT={written(fluid.kT)}, {fluid.species} species, {pairs})"
+    parts = "; ".join(f"{_groups(part)}: {laws(part)}" for part in fluid.parts)
+    return f"Fluid(kT={written(fluid.kT)}, {fluid.species} species, {parts})"
 
 
 def full(fluid) -> str:
@@ -31,14 +31,15 @@ def full(fluid) -> str:
 
 
 def laws_of(fluid) -> list[tuple[str, str, str, str]]:
-    """Of every law the groups it acts between, its name, its numbers, and its energies in kT."""
+    """Of every law the groups it acts between, or the type of bond it is of, its name, its numbers,
+    and its energies in kT."""
     rows = []
-    for i in fluid.interactions:
-        for t in i.terms:
-            is_potential = any(t is u for u in i.conservative)
-            energies = energies_in_kT(fluid, i, t) if is_potential else ""
+    for part in fluid.parts:
+        for t in part.terms:
+            is_pair_potential = any(t is u for u in getattr(part, "conservative", ()))
+            energies = energies_in_kT(fluid, part, t) if is_pair_potential else ""
             numbers = ", ".join(f"{k} {written(c)}" for k, c in t.coefficients.items())
-            rows.append((_groups(i), name_of(t.law), numbers, energies))
+            rows.append((_groups(part), name_of(t.law), numbers, energies))
     return rows
 
 
@@ -125,7 +126,10 @@ def written(value) -> str:
     )
 
 
-def _groups(interaction) -> str:
+def _groups(part) -> str:
+    """The two groups of an interaction, or the name of a type of bonds with its kind."""
+    if not hasattr(part, "groups"):
+        return part.name if part.name == part.kind else f"{part.kind} {part.name}"
     return "-".join(
-        "".join(map(str, group)) if len(group) == 1 else str(group) for group in interaction.groups
+        "".join(map(str, group)) if len(group) == 1 else str(group) for group in part.groups
     )

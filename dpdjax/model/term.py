@@ -156,8 +156,8 @@ class Term:
         return [dataclasses.replace(self, coefficients=coefficients) for coefficients in each]
 
     def between(self, table_of=lambda c: c, **given):
-        """The law as a function of the gap, and its reach; ``table_of`` looks tables up, ``given``
-        is of ``GIVEN``."""
+        """The law as a function of the gap, and its reach, None for one without end; ``table_of``
+        looks tables up, ``given`` is of ``GIVEN``."""
         value = lambda c: c.value if isinstance(c, Whole) else table_of(c)
         numbers = {name: value(c) for name, c in self.coefficients.items()} | given
         call = lambda function: functools.partial(
@@ -165,7 +165,12 @@ class Term:
         )
         if self.cut is not None:
             return call(self.law), table_of(self.cut)
-        return call(self.law), numbers["r_c"] if self.reach is None else call(self.reach)()
+        return call(self.law), numbers.get("r_c") if self.reach is None else call(self.reach)()
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the law ends anywhere; one of a bond need not (static)."""
+        return not (self.cut is None and self.reach is None and "r_c" not in self.coefficients)
 
 
 def term(
@@ -184,7 +189,8 @@ def term(
             ``R_i``, ``R_j`` of the two beads and for ``kT`` by name; those are not given here.
         reach: gap beyond which the law is cut to zero [length], a number or a function of
             coefficients; by default what the law declares with ``dpd.laws.reaches``, else its
-            coefficient ``r_c``. A potential is shifted to be zero there.
+            coefficient ``r_c``. A potential is shifted to be zero there. A law of a bond, of an
+            angle or of a dihedral may do without.
         origin: name under which the stress of this term is kept, by default ``"conservative"`` or
             ``"drag"``.
         projector: the part of the relative velocity of the two *surfaces* that a friction acts on:
@@ -198,8 +204,8 @@ def term(
         TypeError: a coefficient whose name is taken, or that the law does not know, declares
             something of, or lacks; a law that branches with ``if`` on what is traced, or that does
             not return real numbers of the shape of ``h``.
-        ValueError: a table that is not square and symmetric; no reach; an origin that is taken; an
-            unknown projector; a number outside what the law declares with ``dpd.laws.bounded``.
+        ValueError: a table that is not square and symmetric; an origin that is taken; an unknown
+            projector; a number outside what the law declares with ``dpd.laws.bounded``.
     """
     if not callable(law) or isinstance(law, type):
         raise TypeError(f"law is {law!r}; give a function law(h, *, ...)")
@@ -242,13 +248,9 @@ def term(
                 "dpd.whole(...) where the law takes an array"
             )
         check_table(k, v)
-    if reach is None and declared is None and "r_c" not in values:
-        raise ValueError(
-            f"{name} has no coefficient r_c: say where it ends, dpd.term({name}, reach=...)"
-        )
     check_bounds(law, values)
     cut = None if reach is None or callable(reach) else positive(reach, f"reach of {name}")
-    if reach is None and declared is None:
+    if reach is None and declared is None and "r_c" in values:
         positive(values["r_c"], "r_c")
     kinds = [(k, v.kind if isinstance(v, Whole) else NUMBER) for k, v in values.items()]
     kinds += [(k, NUMBER) for k in GIVEN]
@@ -303,6 +305,11 @@ def _check_value(function, kinds: tuple[tuple, ...], gaps, what: str):
             f"{name_of(function)} returns shape {given.shape} for gaps of shape {gaps}; {what} is "
             "wanted for each gap"
         )
+
+
+def takes(law: Callable, *names: str) -> bool:
+    """Whether a law takes a coefficient of one of these names."""
+    return bool(set(names) & set(_keywords(law)))
 
 
 @functools.cache

@@ -12,6 +12,7 @@ import math
 import sys
 import types
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,8 +24,16 @@ from dpdjax.xla import where_needed
 
 FINENESS = 4
 """Cells along x per list radius: finer cells fit the ranges closer to what is within it."""
+ROUNDING = 1e-5
+"""By which a box may seem smaller than it is."""
 IN_CELLS = 200
 """Beads of the larger group from which cells are worth it."""
+PAIRS, WINDOWS, NARROW, SHORT = 1, 2, (4, 16, 32), 8
+"""What is wrong with a list, as bits of its error code: more pairs than it holds, more beads in a
+range than a window does; cells that no longer cover the radius along x, y or z of a box that has
+become smaller; a side of that below twice the radius."""
+OVERFLOWS = PAIRS | WINDOWS | sum(NARROW)
+"""What a larger grid is the cure for."""
 FEW = 64
 """Beads of the smaller group up to which all pairs are tried: sorting the larger one costs more
 (measured: tests/benchmarks)."""
@@ -43,6 +52,7 @@ class Grid:
         capacity: pairs the list holds.
         sheared: whether the cells are wide enough for a tilted box.
         groups: first slot and end of either group; twice the same for the pairs within one.
+        excludes: whether pairs are left out that a :class:`Excluded` names.
         kernel: what does the sums over the pairs (``dpdjax.pairs.kernels``), by default the one
             suited to this machine.
     """
@@ -55,6 +65,7 @@ class Grid:
     capacity: int
     sheared: bool
     groups: tuple[tuple[int, int], tuple[int, int]]
+    excludes: bool = False
     kernel: Callable = dataclasses.field(default_factory=kernels.suited)
 
     @property
@@ -77,17 +88,55 @@ class Grid:
         return self.reach + self.skin
 
     def grown(self, code: int = 3) -> "Grid":
-        """A grid with a quarter more of what overflowed: every step pays for room that is not used.
+        """A grid with a quarter more of what overflowed, for every step pays for room that is not
+        used; and with wider cells where those are too narrow.
 
-        ``code``: 1 for the pairs, 2 for the windows, as in the list's error.
+        ``code``: of the list's error, ``PAIRS``, ``WINDOWS`` or one of ``NARROW`` by axis.
         """
         return dataclasses.replace(
-            self,
-            capacity=cells.rounded(1.25 * self.capacity) if code & 1 else self.capacity,
-            window=_whole_words(int(1.25 * self.window))
-            if code & 2 and self.window
-            else self.window,
-        )
+            self._widened(code),
+            capacity=cells.rounded(1.25 * self.capacity) if code & PAIRS else self.capacity,
+        )._with_windows(1.25 if code & WINDOWS else 1.0)
+
+    def _with_windows(self, factor: float) -> "Grid":
+        """With windows for so many times as many beads."""
+        if factor == 1.0 or not self.window:
+            return self
+        return dataclasses.replace(self, window=_whole_words(int(factor * self.window)))
+
+    def _widened(self, code: int) -> "Grid":
+        """With cells that cover the list radius in a box that is shorter along some axes: those
+        along x one more of them, along y and z by fewer of them; none where too few are left."""
+        is_narrow = [bool(code & bit) for bit in NARROW]
+        if self.cells is None or not any(is_narrow):
+            return self
+        nx, *across = self.cells
+        span = self.span + is_narrow[0]
+        fewer = [min(c - 1, int(0.95 * c)) if yes else c for c, yes in zip(across, is_narrow[1:])]
+        if min(fewer) < 3 or 2 * span + 1 > nx:
+            return dataclasses.replace(self, cells=None, span=0, window=0)
+        wider = math.prod(across) / math.prod(fewer) * (2 * span + 1) / (2 * self.span + 1)
+        wide = dataclasses.replace(self, cells=(nx, *fewer), span=span)
+        return wide._with_windows(wider)
+
+    def misfit(self, box: boxes.Box):
+        """What of ``NARROW`` and ``SHORT`` a box is for this grid, as a code; uint8."""
+        bit = lambda is_so, bit: jnp.where(is_so, jnp.uint8(bit), jnp.uint8(0))
+        short = jnp.any(box.lengths < 2 * self.list_radius * (1 - ROUNDING))
+        code = bit(short, SHORT)
+        if self.cells is None:
+            return code
+        lx, ly, lz = box.lengths
+        faces = lx / jnp.sqrt(1.0 + box.strain**2), ly, lz
+        for face, count, bit_of in zip(faces, self._across, NARROW):
+            code |= bit(face < count * self.list_radius * (1 - ROUNDING), bit_of)
+        return code
+
+    @property
+    def _across(self) -> tuple[float, float, float]:
+        """How many times the list radius is to fit into the box along each axis."""
+        nx, ny, nz = self.cells
+        return nx / self.span, ny, nz
 
 
 def _rounded_up(length: float) -> float:
@@ -164,6 +213,11 @@ def _capacity(one_group: bool, few: int, many: int, share: float, room: float) -
     return min(cells.rounded(wanted), max(there, 1))
 
 
+def room_for(grid: Grid, room: float) -> int:
+    """A capacity so many times that of a grid."""
+    return cells.rounded(room * grid.capacity)
+
+
 def _whole_words(slots: int) -> int:
     """A window of at least ``slots``: words of equal width, in whole bytes."""
     words = -(-slots // cells.WORD)
@@ -173,44 +227,69 @@ def _whole_words(slots: int) -> int:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Neighbours:
-    """One list, and the strain it was built at.
+    """One list, and the box it was built in.
 
     Attributes:
         list: a ``jax_md.partition.NeighborList``; ``list.idx`` is (2, capacity), padded
             with the number of beads.
-        strain: box strain at the build.
+        strain, lengths: those of the box at the build.
         grid: static shape of the list.
     """
 
     list: object
     strain: object
+    lengths: object
     grid: Grid = dataclasses.field(metadata={"static": True})
 
 
-def allocate(grid: Grid, box: boxes.Box, position, ids=None) -> Neighbours:
+class Excluded(NamedTuple):
+    """Pairs that no list holds: of each bead, by id, the ids of its ``partners`` (n, most), and the
+    ids (n,) of the beads as they are stored."""
+
+    partners: jax.Array
+    id: jax.Array
+
+    def without(self, idx):
+        """Pairs (2, capacity), with those left out padded."""
+        n = self.id.shape[0]
+        a, b = (self.id[jnp.minimum(slots, n - 1)] for slots in idx)
+        return jnp.where(jnp.any(self.partners[a] == b[:, None], axis=1), n, idx)
+
+
+def allocate(
+    grid: Grid, box: boxes.Box, position, ids=None, excluded: Excluded | None = None
+) -> Neighbours:
     """A fresh list of the pairs within ``reach + skin``. jit and vmap safe.
 
     ``ids`` (n,), a permutation within each group: the pairs come in the order, and each with its
-    beads the way round, that beads stored by id would give. By default the beads are.
+    beads the way round, that beads stored by id would give. By default the beads are. ``excluded``:
+    what a grid that ``excludes`` leaves out.
     """
     idx, (pairs, windows) = build_pairs(grid, box, position, ids)
-    code = pairs.astype(jnp.uint8) + 2 * windows.astype(jnp.uint8)
-    return restore(grid, idx, position, code, box.strain)
+    if grid.excludes:
+        if excluded is None:
+            raise ValueError(
+                "this list leaves out pairs and was not told which: dpd.run updates it"
+            )
+        idx = excluded.without(idx)
+    code = PAIRS * pairs.astype(jnp.uint8) + WINDOWS * windows.astype(jnp.uint8)
+    return restore(grid, idx, position, code | grid.misfit(box), box.strain, box.lengths)
 
 
-ARRAYS = ("idx", "reference_position", "code", "strain")
+ARRAYS = ("idx", "reference_position", "code", "strain", "lengths")
 """What a list consists of beside its grid."""
 
 
 def arrays_of(neighbours: Neighbours) -> dict:
     """The arrays of a list by name, as :func:`restore` takes them."""
     held = neighbours.list
-    arrays = (held.idx, held.reference_position, held.error.code, neighbours.strain)
-    return dict(zip(ARRAYS, arrays))
+    built_in = neighbours.strain, neighbours.lengths
+    return dict(zip(ARRAYS, (held.idx, held.reference_position, held.error.code, *built_in)))
 
 
-def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
-    """A list from its arrays; ``code`` has jax-md's bits, 1 pair and 2 cell overflow."""
+def restore(grid: Grid, idx, reference_position, code, strain, lengths) -> Neighbours:
+    """A list from its arrays; ``code`` has jax-md's bits, 1 pair and 2 cell overflow, 4 narrow
+    cells and 8 a small box, and two more (``NARROW``)."""
     partition = jax_md_partition()
     neighbour_list = partition.NeighborList(
         idx=idx,
@@ -223,7 +302,7 @@ def restore(grid: Grid, idx, reference_position, code, strain) -> Neighbours:
         cell_list_fn=None,
         update_fn=updater(grid),
     )
-    return Neighbours(neighbour_list, strain, grid)
+    return Neighbours(neighbour_list, strain, lengths, grid)
 
 
 @functools.cache
@@ -247,7 +326,8 @@ def updater(grid: Grid):
     """The list's ``update_fn``; one object per grid, so that jit does not recompile."""
 
     def update_fn(position, neighbour_list, box):
-        return update(Neighbours(neighbour_list, box.strain, grid), box, position).list
+        held = Neighbours(neighbour_list, box.strain, box.lengths, grid)
+        return update(held, box, position).list
 
     return update_fn
 
@@ -256,17 +336,21 @@ def is_stale(neighbours: Neighbours, box: boxes.Box, position):
     """Whether a pair inside the reach may be missing from the list.
 
     The largest non-affine displacements since the build of either group together (of one group
-    twice its own), plus what the strain since then adds to a pair at the reach, against the skin.
+    twice its own), plus what the strain since then adds to a pair at the list radius and what the
+    box, where it is shorter than at the build, takes off that, against the skin.
     """
     grid = neighbours.grid
     period = box.lengths[0] / box.lengths[1]
-    strain = box.strain - neighbours.strain
+    # Sides over those at the build, 1 to the last bit where they are the same.
+    stretch = box.lengths / neighbours.lengths
+    strain = box.strain - neighbours.strain * (stretch[0] / stretch[1])
     strain = strain - period * jnp.round(strain / period)
 
     def farthest(group):
         now, reference = (
             x[group[0] : group[1]] for x in (position, neighbours.list.reference_position)
         )
+        reference = reference * stretch[None]
         affine = strain * reference[:, 1]
         d = now - reference
         dx, dy, dz = boxes.minimum_image(box, d[:, 0] - affine, d[:, 1], d[:, 2])
@@ -275,23 +359,36 @@ def is_stale(neighbours: Neighbours, box: boxes.Box, position):
     moved = (
         2.0 * farthest(grid.few) if grid.is_one_group else farthest(grid.few) + farthest(grid.many)
     )
-    return moved + jnp.abs(strain) * grid.list_radius > grid.skin
+    # What was farther apart than the list radius is now farther than this.
+    least = grid.list_radius * jnp.min(stretch)
+    return moved + jnp.abs(strain) * least + (grid.list_radius - least) > grid.skin
 
 
-def update(neighbours: Neighbours, box: boxes.Box, position, ids=None) -> Neighbours:
+def update(
+    neighbours: Neighbours, box: boxes.Box, position, ids=None, excluded: Excluded | None = None
+) -> Neighbours:
     """The list, rebuilt if it is stale; in a batch, the lists of the members that are."""
     neighbours, position, box = jax.lax.stop_gradient((neighbours, position, box))
     return _rebuild_where(neighbours.grid)(
-        is_stale(neighbours, box, position), neighbours, box, position, ids
+        is_stale(neighbours, box, position), neighbours, box, position, ids, excluded
     )
+
+
+def excluding(neighbours: Neighbours, excluded: Excluded) -> Neighbours:
+    """The same list without pairs; from now on it leaves them out."""
+    grid = dataclasses.replace(neighbours.grid, excludes=True)
+    held, error = neighbours.list, neighbours.list.error
+    idx = excluded.without(held.idx)
+    built_in = neighbours.strain, neighbours.lengths
+    return restore(grid, idx, held.reference_position, error.code, *built_in)
 
 
 @functools.cache
 def _rebuild_where(grid: Grid):
     """One object per grid, so that ``custom_vmap`` is set up once."""
 
-    def rebuild(old, box, position, ids):
-        new = allocate(grid, box, position, ids)
+    def rebuild(old, box, position, ids, excluded):
+        new = allocate(grid, box, position, ids, excluded)
         return dataclasses.replace(
             new, list=_with_error(new.list, old.list.error.code | new.list.error.code)
         )
@@ -314,9 +411,8 @@ def with_overflow(neighbours: Neighbours, code) -> Neighbours:
 def overflow(neighbours: Neighbours, members=...) -> int:
     """What of a list has overflowed, in any of the ``members`` of a batch: 0, or the code of
     :meth:`Grid.grown`."""
-    return int(
-        np.bitwise_or.reduce(np.asarray(neighbours.list.error.code)[members].ravel(), initial=0)
-    )
+    code = np.asarray(neighbours.list.error.code)[members]
+    return int(np.bitwise_or.reduce(code.ravel(), initial=0)) & OVERFLOWS
 
 
 def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:
@@ -332,7 +428,7 @@ def pad(neighbours: Neighbours, grid: Grid) -> Neighbours:
         max_occupancy=grid.capacity,
         update_fn=updater(grid),
     )
-    return Neighbours(padded, neighbours.strain, grid)
+    return dataclasses.replace(neighbours, list=padded, grid=grid)
 
 
 def build_pairs(grid: Grid, box: boxes.Box, position, ids=None):

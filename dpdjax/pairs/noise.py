@@ -31,11 +31,20 @@ class Domain(enum.IntEnum):
     FRESH_RUN = 9
     GOAL = 10
     FIT = 11
+    CHAINS = 12
+    BOX = 13
 
 
 def step_words(key, step, channel: int = 0):
     """Two uint32 words for one step and one interaction, from JAX's own generator."""
     return _words(key, Domain.PAIR, channel, step, 2)
+
+
+def box_noise(key, step, count: int, dtype):
+    """Normal numbers (count,) of one step, for a box whose sides fluctuate."""
+    for word in (Domain.BOX, step):
+        key = jax.random.fold_in(key, word)
+    return jax.random.normal(key, (count,), dtype)
 
 
 def vector_words(key, step, channel: int = 0):

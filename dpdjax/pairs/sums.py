@@ -123,6 +123,21 @@ def sum_onto_beads(pairs: Pairs, along, n: int):
     return net_force(net_add(net_zero(n, along.dtype, on_cpu()), pairs, along))
 
 
+def onto_beads(slots, f, n: int):
+    """Vectors ``f`` (3, rows) added onto the beads in ``slots`` (rows,); (n, 3)."""
+    # The laws before the sums: XLA would evaluate them again for every scatter.
+    f = jax.lax.optimization_barrier(f)
+    add = lambda part: (
+        jnp.zeros(n, part.dtype)
+        .at[slots]
+        .add(part, mode="promise_in_bounds", wrap_negative_indices=False)
+    )
+    if not on_cpu():
+        return jnp.stack([add(part) for part in f], axis=1)
+    xy, z = add(jax.lax.complex(f[0], f[1])), add(f[2])
+    return jnp.stack([xy.real, xy.imag, z], axis=1)
+
+
 def torque_add(torque, beads: Columns, pairs: Pairs, across):
     """Add ``arm x force`` of every pair to what turns its beads (m, 3).
 

@@ -40,6 +40,8 @@ class Case:
 RESTED, STEADY, WAVED = ("at rest",), ("sheared",), ("pushed",)
 UNSHEARED = ("at rest", "pushed", "driven")
 FIT = (1.0, 1.5)
+LATER = 5.0
+"""A lag at which the vector of a molecule is forgotten."""
 AT_ONCE = 6 / runs.INTERVAL * np.tanh(0.5 * runs.INTERVAL / runs.MOTION)
 """Mean square of a velocity over its diffusion coefficient."""
 HEAD_START = runs.INTERVAL / np.sinh(runs.INTERVAL / runs.MOTION) * (1 - np.exp(-1.0 / runs.MOTION))
@@ -47,6 +49,13 @@ HEAD_START = runs.INTERVAL / np.sinh(runs.INTERVAL / runs.MOTION) * (1 - np.exp(
 as a time."""
 WITHOUT_DRIFT = DIFFUSION * (1 - 1 / (runs.POINTS + runs.SPHERES))
 """Of beads relative to their centre of mass."""
+APART = float(np.sum(runs.SIDES**2)) / 12
+"""Mean square of a vector anywhere in the box."""
+MOLECULE = DIFFUSION * (0.5 - 1 / (runs.POINTS + runs.SPHERES))
+"""Diffusion coefficient of the middle of two beads relative to the centre of mass."""
+ANYWHERE = runs.SIDES * (np.random.default_rng(0).random((200_000, 3)) - 0.5)
+"""Vectors anywhere in the box."""
+ORDER = float(1.5 * np.mean(ANYWHERE[:, 2] ** 2 / np.sum(ANYWHERE**2, axis=1)) - 0.5)
 CONTACTS = (runs.SPHERES - 1) * 4 / 3 * np.pi * (2 * runs.RADIUS + 0.5) ** 3 / runs.VOLUME
 """Of a sphere with gaps below 0.5 to others thrown at random."""
 CLUSTER = 2.312
@@ -82,6 +91,18 @@ def bonded(run):
 def displacement(run, axes):
     return curve_at(
         dpd.measure.mean_squared_displacement(run, t_max=1.0, axes=axes), -1, 2.0 * len(axes)
+    )
+
+
+def first_mode(run):
+    """The mean square of the only Rouse mode of two beads, half of that of their distance."""
+    found = dpd.measure.rouse_modes(run, t_max=LATER)
+    return dpd.Estimate(float(found.mean_square[0]), float(found.error[0]))
+
+
+def displacement_of_molecules(run, axes):
+    return curve_at(
+        dpd.measure.molecular_displacement(run, t_max=1.0, axes=axes), -1, 2.0 * len(axes)
     )
 
 
@@ -168,6 +189,25 @@ CASES = {
         CONTACTS,
     ),
     "bonded_pairs": Case(bonded, CONTACTS),
+    "end_to_end": Case(lambda run: dpd.measure.end_to_end(run, t_max=LATER).mean_square, APART),
+    "radius_of_gyration": Case(
+        lambda run: dpd.measure.radius_of_gyration(run).mean_square, APART / 4
+    ),
+    "rouse_modes": Case(first_mode, APART / 6),
+    "bond_lengths": Case(lambda run: dpd.measure.bond_lengths(run, "pair").mean_square, APART),
+    "order_parameter": Case(lambda run: dpd.measure.order_parameter(run, head=0), ORDER),
+    "molecular_displacement": Case(
+        lambda run: displacement_of_molecules(run, "xyz"), MOLECULE, settled=True
+    ),
+    "molecular_displacement, yz": Case(
+        lambda run: displacement_of_molecules(run, "yz"), MOLECULE, settled=True
+    ),
+    "molecular_diffusion": Case(
+        lambda run: dpd.measure.molecular_diffusion(run, fit=FIT), MOLECULE, settled=True
+    ),
+    "molecular_diffusion, yz": Case(
+        lambda run: dpd.measure.molecular_diffusion(run, fit=FIT, axes="yz"), MOLECULE, settled=True
+    ),
     "angular_velocity_autocorrelation": Case(
         lambda run: curve_at(
             dpd.measure.angular_velocity_autocorrelation(run, t_max=1.0), 0, AT_ONCE

@@ -1,0 +1,1 @@
+"""Bonds, angles and dihedrals: which beads, their coordinates, and what acts along them."""

@@ -1,0 +1,117 @@
+"""Laws of bonds, of angles and of dihedrals.
+
+A law of a bond is an energy as a function of the distance of two beads; one of an angle, or of a
+dihedral, is an energy as a function of its *cosine*: no force is ever divided by a sine, so chains
+may be straight. The engine differentiates them. Their numbers are those of the formulas here; what
+LAMMPS, HOOMD-blue and GROMACS call them is in the table of the README.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from dpdjax.model.declare import bounded, potential, proportional_to
+
+
+@potential
+@proportional_to("k")
+@bounded(k="not negative", r0="not negative")
+def harmonic_bond(r: ArrayLike, *, k: ArrayLike, r0: ArrayLike = 0.0) -> jax.Array:
+    """A spring, ``k (r - r0)^2 / 2`` (Groot & Warren 1997, section V, with ``r0 = 0``).
+
+    Parameters: distance ``r`` [length], ``k`` [energy / length^2], ``r0`` [length]. LAMMPS has
+    ``K = k/2``, HOOMD-blue and GROMACS the same ``k``.
+    """
+    return 0.5 * k * (r - r0) ** 2
+
+
+@potential
+@proportional_to("k")
+@bounded(k="not negative", r_max="positive", r0="not negative")
+def fene_bond(r: ArrayLike, *, k: ArrayLike, r_max: ArrayLike, r0: ArrayLike = 0.0) -> jax.Array:
+    """A spring of finite length, ``-k r_max^2 ln(1 - ((r - r0)/r_max)^2) / 2`` (Warner 1972).
+
+    Without the repulsion that LAMMPS and HOOMD-blue put into theirs: pairs repel each other
+    anyhow. Infinite from ``r0 + r_max`` on, where a run ends.
+    """
+    stretch = ((r - r0) / r_max) ** 2
+    within = stretch < 1.0
+    inside = -0.5 * k * r_max**2 * jnp.log1p(-jnp.where(within, stretch, 0.0))
+    return jnp.where(within, inside, jnp.inf * stretch)
+
+
+@potential
+@proportional_to("k")
+@bounded(k="not negative")
+def cosine_angle(c: ArrayLike, *, k: ArrayLike, theta0: ArrayLike = jnp.pi) -> jax.Array:
+    """Bending, ``k (1 - cos(theta - theta0))``, theta between 0 and pi.
+
+    Parameters: ``c = cos(theta)``, ``k`` [energy], ``theta0`` [radian], by default straight, for
+    which it is ``k (1 + c)`` (Shillcock & Lipowsky 2002, eq. 4, whose angle is pi less). For any
+    other ``theta0`` the force ends with a kink at 0 and at pi.
+    """
+    sine = _sine(c)
+    return k * (1.0 - (c * jnp.cos(theta0) + jnp.sin(theta0) * sine))
+
+
+@potential
+@proportional_to("k")
+@bounded(k="not negative")
+def harmonic_cosine(c: ArrayLike, *, k: ArrayLike, theta0: ArrayLike = jnp.pi) -> jax.Array:
+    """Bending, ``k (cos(theta) - cos(theta0))^2 / 2`` (``k`` as in GROMACS and MARTINI)."""
+    return 0.5 * k * (c - jnp.cos(theta0)) ** 2
+
+
+@potential
+@proportional_to("k")
+def cosine_dihedral(
+    c: ArrayLike, *, k: ArrayLike, n: ArrayLike = 1, d: ArrayLike = 1.0
+) -> jax.Array:
+    """Torsion, ``k (1 + d cos(n phi)) / 2``; ``phi = 180`` degrees is trans.
+
+    Parameters: ``c = cos(phi)``, ``k`` [energy], ``n`` 1 to 6, ``d`` 1 or -1. As in HOOMD-blue
+    with ``phi0 = 0``; LAMMPS's ``K`` is ``k/2``.
+    """
+    return 0.5 * k * (1.0 + d * _chebyshev(c, n))
+
+
+@potential
+def ryckaert_bellemans(
+    c: ArrayLike,
+    *,
+    c0: ArrayLike = 0.0,
+    c1: ArrayLike = 0.0,
+    c2: ArrayLike = 0.0,
+    c3: ArrayLike = 0.0,
+    c4: ArrayLike = 0.0,
+    c5: ArrayLike = 0.0,
+) -> jax.Array:
+    """Torsion, ``sum c_n cos(psi)^n`` with ``psi = phi - 180`` degrees, 0 in trans (Ryckaert &
+    Bellemans 1975; as in GROMACS)."""
+    x = -c
+    return c0 + x * (c1 + x * (c2 + x * (c3 + x * (c4 + x * c5))))
+
+
+def _sine(c):
+    """``sqrt(1 - c^2)`` with derivative 0 where it is 0, in place of an infinite one."""
+    square = jnp.maximum(1.0 - c * c, 0.0)
+    is_zero = square == 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
+
+
+def _chebyshev(c, n):
+    """``cos(n phi)`` from ``cos(phi)`` for n 0 to 6; NaN for any other."""
+    c2 = c * c
+    polynomials = (
+        jnp.ones_like(c),
+        c,
+        2 * c2 - 1,
+        c * (4 * c2 - 3),
+        8 * c2 * (c2 - 1) + 1,
+        c * (16 * c2 * c2 - 20 * c2 + 5),
+        c2 * (32 * c2 * c2 - 48 * c2 + 18) - 1,
+    )
+    found = jnp.full_like(c, jnp.nan)
+    for degree, value in enumerate(polynomials):
+        found = jnp.where(n == degree, value, found)
+    return found

@@ -1,0 +1,374 @@
+"""Chains, rings, stars and lipids to start from, in a solvent or as a melt."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from dpdjax.checks import choice, plain, positive, prng_key, whole
+from dpdjax.engine.choice import suited
+from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.state import State
+from dpdjax.model import bonded_laws, laws
+from dpdjax.model.bonded import BEADS, Bonded, Terms
+from dpdjax.model.fluid import Fluid, fluid
+from dpdjax.model.rates import extreme, thermal_length
+from dpdjax.model.summary import as_table
+from dpdjax.model.term import term
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.noise import Domain
+from dpdjax.prepare import layout
+from dpdjax.prepare.architecture import OTHERS, Architecture, architecture, spelt, type_of
+from dpdjax.prepare.push_off import pushed_off
+from dpdjax.prepare.start import beads_in, placed, plan_lists
+
+ARRANGEMENTS = ("random", "bilayer", "lamella")
+AXES = {"x": 0, "y": 1, "z": 2}
+LAYERED = 0.9
+"""Bonds of a molecule of a bilayer over the length that its beads take along the normal."""
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Molecules:
+    """A fluid with molecules and a state of it; prints what it is made of.
+
+    Attributes:
+        fluid: the fluid.
+        state: where the beads are, and which are bonded.
+        dt: a time step that suits it [time], under this integrator:
+        integrator: what is to move it, ``dpd.run(..., integrator=made.integrator)``.
+        species: the number of each species by its letter.
+        ids: of each kind of molecule, by its word, the ids of its beads in the order of the word,
+            (molecules, beads).
+    """
+
+    fluid: Fluid
+    state: State
+    dt: float
+    integrator: Integrator
+    species: dict[str, int]
+    ids: dict[str, np.ndarray]
+
+    def __str__(self):
+        sides = " x ".join(f"{side:g}" for side in np.asarray(self.state.box.lengths))
+        kinds = ", ".join(f"{len(rows)} of {word}" for word, rows in self.ids.items())
+        letters = ", ".join(f"{letter} is species {k}" for letter, k in self.species.items())
+        counts = ", ".join(f"{v} {k}" for k, v in self.state.topology.counts.items()) or "no bonds"
+        return "\n".join(
+            [
+                f"{self.state.n} beads in {sides}: {kinds}; {letters}",
+                f"{counts}; dt {self.dt:.3g} by {self.integrator}",
+                str(self.fluid),
+            ]
+        )
+
+    __repr__ = __str__
+
+    def _repr_html_(self):
+        return as_table("Molecules", [(line,) for line in str(self).split("\n")])
+
+
+def molecules(
+    key: jax.Array,
+    amounts: str | Mapping[str, float],
+    *,
+    box: ArrayLike,
+    density: float | None = None,
+    a: ArrayLike | Mapping[str, float] = 25.0,
+    gamma: ArrayLike | Mapping[str, float] = 4.5,
+    kT: ArrayLike = 1.0,
+    mass: ArrayLike | Mapping[str, float] = 1.0,
+    r_c: float = 1.0,
+    bonds: Terms | None = None,
+    angles: Terms = (),
+    dihedrals: Terms = (),
+    exclude: int = 0,
+    arrangement: str | Mapping[str, str] = "random",
+    axis: str = "z",
+    periods: int = 1,
+    integrator: Integrator | None = None,
+    dt: float | None = None,
+    skin: float | None = None,
+    sheared: bool = True,
+    report: Callable[[str], None] | None = print,
+) -> Molecules:
+    """Molecules in a box, placed at random or as bilayers and pushed apart.
+
+    Args:
+        key: a PRNG key; the same one may drive the run.
+        amounts: of each molecule, as a word, its share of the beads (floats that add up to 1) or
+            how many there are (integers); a word alone for nothing else. ``"A5B5"`` is a chain,
+            ``"H3(T4)2"`` has two branches at its third bead, ``"A(B10)4"`` is a star, ``"[AB]5"``
+            repeats, ``"cyclo-A20"`` is a ring, ``"W"`` a bead by itself.
+        box: one side or three [length].
+        density: beads per volume, 3/r_c^3 by default; not given with numbers of molecules.
+        a: repulsion of every two beads [energy / length], a number, or one for each pair of
+            species, ``{"AA": 25, "AB": 40, "BB": 25}``; ``"*"`` is for all that is not named.
+        gamma: friction likewise [mass / time].
+        kT, r_c: thermal energy, and reach of both.
+        mass: of a bead, or of each species by its letter.
+        bonds: terms of a bond, by default a spring of k = 4 kT/r_c^2 and no length (Groot & Warren
+            1997); or by the species it is between, ``{"AA": ..., "AB": ...}``.
+        angles, dihedrals: likewise, of three and four beads one after another, ``{"TTT":
+            dpd.term(dpd.laws.cosine_angle, k=20.0)}``. Terms by themselves are for all that there
+            are along the chain and out along its branches; of those by name, ones that no name fits
+            have none.
+        exclude: pairs up to so many bonds apart do not act on each other as pairs; none by default.
+        arrangement: ``"random"`` walks; ``"bilayer"``, first beads outside, with the molecules of
+            one bead outside it; ``"lamella"``, bilayers that fill the box. Of all molecules, or of
+            each by its word, the others at random.
+        axis, periods: the normal of the bilayers, and how many there are.
+        integrator, dt, skin, sheared: as for :func:`dpdjax.suspension`.
+        report: told what was made; None for silence.
+
+    Raises:
+        ValueError: a word that is none, shares that do not add up to 1, pairs without a number,
+            names of bonds that no molecule has, a box too small for the lists.
+        TypeError: amounts or terms of another kind.
+    """
+    key = prng_key(key)
+    lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
+    r_c = plain(r_c, "r_c", positive)
+    kinds, counts = _counted(amounts, lengths, density, r_c)
+    letters = {letter: k for k, letter in enumerate(_letters(kinds))}
+    given = {"bond": _springs(kT, r_c) if bonds is None else bonds}
+    given |= {"angle": angles, "dihedral": dihedrals}
+    given = {kind: _of_types(kind, terms, kinds) for kind, terms in given.items()}
+    made = fluid(
+        [term(laws.soft_repulsion, a=_table(a, letters, "a"), r_c=r_c)],
+        [term(laws.central_drag, gamma=_table(gamma, letters, "gamma"), r_c=r_c)],
+        kT=kT,
+        mass=_of_letters(mass, letters),
+        species=len(letters),
+        **{f"{kind}s": terms for kind, terms in given.items()},
+    )
+    order = _Order.of(kinds, counts, letters)
+    density = sum(order.counts) / float(np.prod(lengths))
+    integrator, dt = suited(made, density, integrator=integrator, dt=dt)
+    space = boxes.box(lengths)
+    grids = plan_lists(made, space, order.counts, skin=skin, dt=dt, sheared=sheared)
+    how = _arrangements(arrangement, kinds), AXES[choice(axis, AXES, "axis")]
+    position = _positions(key, made, kinds, counts, lengths, *how, whole(periods, "periods"))
+    position = jnp.asarray(position[order.by_species], space.lengths.dtype)
+    state = placed(made, key, space, position, order.counts, grids)
+    # Images that make molecules whole: unwrapped positions are those they were laid out at.
+    state = dataclasses.replace(state, image=boxes.wrap(space, position)[1])
+    state = state.bonded(order.groups(made, kinds), exclude=exclude)
+    state = pushed_off(made, state, key)
+    found = Molecules(made, state, float(dt), integrator, letters, order.ids)
+    if report is not None:
+        report(str(found))
+    return found
+
+
+def _springs(kT, r_c):
+    """The bonds of Groot & Warren (1997): springs of 4 kT/r_c^2 and no length."""
+    return term(bonded_laws.harmonic_bond, k=4.0 * np.asarray(kT) / r_c**2)
+
+
+def _counted(amounts, lengths, density, r_c) -> tuple[list[Architecture], list[int]]:
+    """The molecules and how many there are of each."""
+    amounts = {amounts: 1.0} if isinstance(amounts, str) else amounts
+    if not isinstance(amounts, Mapping) or not amounts:
+        raise TypeError(f'amounts are {amounts!r}; give {{"A5B5": 0.2, "W": 0.8}}')
+    kinds, given = [architecture(word) for word in amounts], list(amounts.values())
+    if all(isinstance(x, int | np.integer) and not isinstance(x, bool) for x in given):
+        if density is not None:
+            raise ValueError("numbers of molecules and a box make a density: leave out density=")
+        return kinds, [whole(x, word, least=0) for word, x in amounts.items()]
+    shares = np.array([plain(x, word) for word, x in amounts.items()])
+    if np.any(shares < 0) or not np.isclose(shares.sum(), 1):
+        raise ValueError(
+            f"the shares {shares.tolist()} add up to {shares.sum():g}; give shares of all beads "
+            "that add up to 1, or whole numbers of molecules"
+        )
+    beads = beads_in(lengths, 3.0 / r_c**3 if density is None else density)
+    return kinds, _nearest(shares * beads, [kind.n for kind in kinds])
+
+
+def _nearest(beads, sizes) -> list[int]:
+    """Numbers of molecules whose beads add up as nearly as they can: the smallest molecules make
+    up for what the others are rounded by."""
+    counts = [round(b / n) for b, n in zip(beads, sizes)]
+    least = int(np.argmin(sizes))
+    lacks = sum(beads) - sum(c * n for c, n in zip(counts, sizes))
+    counts[least] = max(0, counts[least] + round(lacks / sizes[least]))
+    return counts
+
+
+def _letters(kinds) -> list[str]:
+    """The species of all molecules, as they come."""
+    return list(dict.fromkeys(letter for kind in kinds for letter in kind.beads))
+
+
+def _table(value, letters: dict[str, int], name: str):
+    """A number, or a table (species, species) from numbers by pairs of species."""
+    if not isinstance(value, Mapping):
+        return value
+    table = np.full((len(letters),) * 2, np.nan)
+    table[:] = value.get(OTHERS, np.nan)
+    for pair, number in value.items():
+        if pair == OTHERS:
+            continue
+        names = spelt(pair)
+        if len(names) != 2 or not set(names) <= set(letters):
+            raise ValueError(
+                f"{name} has {pair!r}, which is no pair of {', '.join(letters)}; give "
+                f'{name}={{"AA": ..., "AB": ...}}'
+            )
+        i, j = (letters[letter] for letter in names)
+        if pair[::-1] in value and value[pair[::-1]] != number:
+            raise ValueError(f"{name} has two numbers for {pair!r} and {pair[::-1]!r}")
+        table[i, j] = table[j, i] = number
+    lacks = [
+        f"{a}{b}"
+        for a, i in letters.items()
+        for b, j in letters.items()
+        if i <= j and np.isnan(table[i, j])
+    ]
+    if lacks:
+        raise ValueError(
+            f'{name} has no number for {", ".join(lacks)}; give it, or "*" for all others'
+        )
+    return table
+
+
+def _of_letters(value, letters):
+    """A number, or one for each species from numbers by letters."""
+    if not isinstance(value, Mapping):
+        return value
+    unknown = sorted(set(value) - set(letters) - {OTHERS})
+    lacks = [letter for letter in letters if letter not in value and OTHERS not in value]
+    if unknown or lacks:
+        raise ValueError(
+            f"mass names {', '.join(value)}, and the species are {', '.join(letters)}: give one "
+            'for each, or "*" for all others'
+        )
+    return np.array([value.get(letter, value.get(OTHERS)) for letter in letters], float)
+
+
+def _of_types(kind: str, terms: Terms, kinds) -> Terms:
+    """The types of bonds that some molecule has; ValueError for a name that fits none."""
+    named = terms if isinstance(terms, Mapping) else {}
+    there = {names for made in kinds for names in _names(made, BEADS[kind])}
+    for name in named:
+        fits = any(type_of(names, {name: ()}) for names in there)
+        if not fits:
+            told = ", ".join(sorted("".join(names) for names in there)) or "none"
+            raise ValueError(f"{kind}s has {name!r}, and the molecules have {told}")
+    return terms if there else ()
+
+
+def _names(made: Architecture, size: int) -> list[tuple[str, ...]]:
+    """The species of all bonds, angles or dihedrals of a molecule."""
+    return [tuple(made.beads[k] for k in row) for row in made.runs(size)]
+
+
+def _arrangements(given, kinds) -> list[str]:
+    """How each molecule is placed; single beads never in layers."""
+    words = [kind.word for kind in kinds]
+    if isinstance(given, Mapping):
+        unknown = sorted(set(given) - set(words))
+        if unknown:
+            raise ValueError(
+                f"arrangement names {unknown[0]!r}; the molecules are {', '.join(words)}"
+            )
+        return [choice(given.get(word, "random"), ARRANGEMENTS, "arrangement") for word in words]
+    choice(given, ARRANGEMENTS, "arrangement")
+    return ["random" if kind.n == 1 else given for kind in kinds]
+
+
+def _positions(key, made: Fluid, kinds, counts, lengths, how, axis: int, periods: int):
+    """Positions (n, 3), molecule after molecule."""
+    seed = jax.random.bits(jax.random.fold_in(key, Domain.CHAINS), (4,), np.uint32)
+    draw = np.random.default_rng(np.asarray(seed).tolist())
+    step = _step(made)
+    period = lengths[axis] / periods
+    thickness = max(
+        [
+            2 * LAYERED * step * (kind.depth().max() + 1)
+            for kind, h in zip(kinds, how)
+            if h == "bilayer"
+        ],
+        default=0.0,
+    )
+    thickness = min(thickness, period)
+    middles = (np.arange(periods) + 0.5) * period
+    taken = [(m - 0.5 * thickness, m + 0.5 * thickness) for m in middles] if thickness else []
+    rows = []
+    for kind, count, arranged in zip(kinds, counts, how):
+        if arranged == "random":
+            alone = kind.n == 1 and bool(taken)
+            given = draw, count, lengths, axis, taken
+            x = (
+                layout.outside(*given)[:, None]
+                if alone
+                else layout.walks(draw, kind, count, lengths, step)
+            )
+        else:
+            size = thickness if arranged == "bilayer" else None
+            x = layout.layers(draw, kind, count, lengths, step, axis, periods, size)
+        rows.append(x.reshape(-1, 3))
+    return np.concatenate(rows)
+
+
+def _step(made: Fluid) -> float:
+    """How far apart bonded beads start: the shortest thermal length of a bond."""
+    numbers = extreme(made)
+    each = [thermal_length(numbers, b) for b in numbers.bonded if b.kind == "bond"]
+    return min(each, default=1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Order:
+    """Which bead is which: molecule after molecule as they are laid out, species after species in
+    the state.
+
+    Attributes:
+        counts: beads of each species.
+        by_species: of each id its place among the beads of the molecules in turn (n,).
+        ids: of each molecule, by word, the ids of its beads (molecules, beads).
+    """
+
+    counts: list[int]
+    by_species: np.ndarray
+    ids: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, kinds, counts, letters) -> "_Order":
+        each = [np.tile([letters[x] for x in kind.beads], c) for kind, c in zip(kinds, counts)]
+        species = np.concatenate(each).astype(int)
+        if not len(species):
+            raise ValueError("there is no molecule at all; give more, or a larger box")
+        order = np.argsort(species, kind="stable")
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        edges = np.cumsum([0, *(kind.n * c for kind, c in zip(kinds, counts))])
+        ids = {
+            kind.word: place[begin:end].reshape(-1, kind.n)
+            for kind, begin, end in zip(kinds, edges, edges[1:])
+        }
+        return cls(np.bincount(species, minlength=len(letters)).tolist(), order, ids)
+
+    def groups(self, made: Fluid, kinds) -> dict[str, np.ndarray]:
+        """Of each type of bond in the fluid the ids of its beads."""
+        found = {b.name: [np.zeros((0, BEADS[b.kind]), int)] for b in made.bonded}
+        for kind in BEADS:
+            types = [b for b in made.bonded if b.kind == kind]
+            for molecule in kinds:
+                runs = molecule.runs(BEADS[kind])
+                named = [_type_name(types, names) for names in _names(molecule, BEADS[kind])]
+                for name in dict.fromkeys(n for n in named if n is not None):
+                    rows = runs[[n == name for n in named]]
+                    found[name].append(self.ids[molecule.word][:, rows].reshape(-1, BEADS[kind]))
+        return {name: np.concatenate(rows) for name, rows in found.items()}
+
+
+def _type_name(types: list[Bonded], names) -> str | None:
+    """The type of one bond between these species: the only one there is, or the one so named."""
+    if len(types) == 1 and types[0].name == types[0].kind:
+        return types[0].name
+    return type_of(names, {b.name: () for b in types})
