@@ -175,7 +175,7 @@ def _of_files(commands):
     init.set_defaults(work=_init, readable=_came_to, plot=None, json=False, no_cache=True)
 
 
-KINDS = ("fluid", "suspension", "marbles", "scan")
+KINDS = ("fluid", "suspension", "marbles", "molecules", "scan")
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from dpdjax.checks import positive, prng_key
 from dpdjax.engine.compiling import Clock
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.state import State
 from dpdjax.errors import TargetError
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
@@ -122,6 +123,8 @@ def calibrate(
     integrator: Integrator | None = None,
     box: float | None = None,
     boxes: int = 2,
+    state: State | None = None,
+    memory: float | None = None,
     max_particle_steps: float = 2e9,
     optimiser: Any = None,
     atlas: bool = True,
@@ -164,6 +167,11 @@ def calibrate(
         box: side of each box; by default 10 interaction ranges, and fewer, to 6, at tolerances
             above 0.05.
         boxes: boxes in the batch.
+        state: of molecules or colloids, that the boxes begin as, in place of one filled at random:
+            for ``viscosity=``, ``pressure=`` and ``target=``; slopes are by runs at both sides.
+        memory: how long that state remembers [time], by default the longest relaxation of its
+            molecules as the model of Rouse has it: boxes settle and blocks last as long, and the
+            shear is slower than 0.3 over it unless ``rate=`` is given.
         max_particle_steps: give up beyond.
         optimiser: an ``optax.GradientTransformation``, for several parameters.
         atlas: begin where :func:`dpdjax.design` would, and take slopes from there, for a fluid that
@@ -180,16 +188,20 @@ def calibrate(
     key = prng_key(key)
     _check_branch(branch)
     positive(tolerance, "tolerance")
-    density = _density(fluid, density)
     asked = dict(
         viscosity=viscosity, diffusion=diffusion, schmidt=schmidt, pressure=pressure,
         compressibility=compressibility, target=target,
     )  # fmt: skip
     wishes.refuse_unused(asked, observe, flow, rate)
+    wishes.refuse_of_state(asked, state, memory, density, box)
+    density = _density(fluid, density, state)
+    atlas = atlas and state is None
     names = (parameter,) if isinstance(parameter, str) else tuple(parameter)
     wanted = wishes.wanted_of(asked, observe, len(names))
     say = report or (lambda text: None)
-    setup = wishes.Setup(density, tolerance, box, boxes, dt, integrator, rate, observe, flow, say)
+    setup = wishes.Setup(
+        density, tolerance, box, boxes, dt, integrator, rate, observe, flow, say, state, memory
+    )
     if isinstance(parameter, str):
         start = _start(fluid, parameter, wanted, density, branch, guess, atlas)
         found = _one(fluid, parameter, wanted, key, setup, start, int(max_particle_steps))
@@ -231,7 +243,9 @@ def _start(fluid, parameter, wanted, density, branch, guess, atlas: bool) -> _St
         known = None if ahead is None else ahead.root(target, side)
         if known is not None:
             return _Start(known, side, ahead, True)
-    rough = drag_guess(fluid, parameter, target, density) if name == "viscosity" else None
+    # Of chains most of the viscosity is their own.
+    by_drag = name == "viscosity" and not fluid.bonded
+    rough = drag_guess(fluid, parameter, target, density) if by_drag else None
     rough = float(positive(present, parameter, "give guess=")) if rough is None else rough
     return _Start(rough, sign, ahead, False)
 
@@ -335,6 +349,8 @@ def measure_viscosity(
     integrator: Integrator | None = None,
     box: float | None = None,
     boxes: int = 2,
+    state: State | None = None,
+    memory: float | None = None,
     max_particle_steps: float = 2e9,
     atlas: bool = True,
     report: Callable[[str], None] | None = None,
@@ -350,11 +366,14 @@ def measure_viscosity(
     clock = Clock()
     key = prng_key(key)
     positive(tolerance, "tolerance")
-    density = _density(fluid, density)
+    wishes.refuse_of_state({}, state, memory, density, box)
+    density = _density(fluid, density, state)
+    atlas = atlas and state is None
     known = foretold(fluid, density, "viscosity") if atlas else None
     rough = rough_viscosity(fluid, density) if known is None else known.value
     say = report or (lambda text: None)
-    setup = wishes.Setup(density, tolerance, box, boxes, dt, integrator, rate, say=say)
+    how = {"say": say, "state": state, "memory": memory}
+    setup = wishes.Setup(density, tolerance, box, boxes, dt, integrator, rate, **how)
     say(f"equilibrating {boxes} boxes")
     ensemble = setup.ensemble(fluid, setup.viscosity_goal(fluid, rough), key)
     settle = thermal_time(fluid)
@@ -394,7 +413,9 @@ def tell_contradiction(fluid, setup: wishes.Setup, name: str, measured: Estimate
         )
 
 
-def _density(fluid, density) -> float:
+def _density(fluid, density, state=None) -> float:
+    if state is not None:
+        return state.n / float(state.box.volume)
     return (
         3.0 / max(fluid.reaches()) ** 3 if density is None else float(positive(density, "density"))
     )

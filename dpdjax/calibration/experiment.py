@@ -15,22 +15,29 @@ from dpdjax.calibration.goal import Goal, check_observed
 from dpdjax.calibration.picture import draw_measurement
 from dpdjax.engine import status as bits
 from dpdjax.engine.choice import suited
-from dpdjax.engine.chunk import begun, complete_lists, replayed, shape_of, trips_of
+from dpdjax.engine.chunk import batched, begun, complete_lists, replayed, shape_of, trips_of
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.members import called
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
-from dpdjax.engine.refusals import check_dt
+from dpdjax.engine.refusals import check_dt, check_run
 from dpdjax.engine.simulate import proceed
 from dpdjax.engine.state import grow
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
+from dpdjax.measure.molecules import molecules_of
 from dpdjax.measure.needs import HOT, WARM
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
 from dpdjax.model.advice import suggest_dt, suggest_skin
 from dpdjax.model.laws import central_drag
-from dpdjax.model.rates import damping_rate, repulsion_energy, thermal_time
+from dpdjax.model.rates import (
+    damping_rate,
+    extreme,
+    repulsion_energy,
+    thermal_length,
+    thermal_time,
+)
 from dpdjax.model.term import term
 from dpdjax.pairs.noise import Domain
 from dpdjax.prepare.start import initial_state
@@ -62,6 +69,8 @@ class Ensemble:
         keys: one noise key per box.
         dt: fixed time step, or None to follow the drag.
         integrator: how the boxes move on in time.
+        memory: ``memory(fluid)``, how long slow parts of the matter remember, as chains do [time];
+            blocks last as long at least.
         steps: particle-steps spent so far.
         report: ``report(text)`` is told of the progress.
     """
@@ -73,6 +82,7 @@ class Ensemble:
     keys: Any
     dt: float | None = None
     integrator: Integrator = VelocityVerlet()
+    memory: Callable = lambda fluid: 0.0
     steps: int = 0
     report: Callable = lambda text: None
 
@@ -114,12 +124,17 @@ def prepare(
     and a long step, for five thermal times at least.
 
     Raises ValueError for a fluid of several groups, whose boxes would be filled with as many of
-    each.
+    each, or with bonds.
     """
+    if fluid.bonded:
+        raise ValueError(
+            "this fluid has bonds, and which beads they are between is not in it: give a state of "
+            "it to begin from, state=..."
+        )
     if fluid.has_radii or len(fluid.interactions) > 1:
         raise ValueError(
             "this measures one kind of bead, and the fluid has colloids or groups: give "
-            "dpd.pure_solvent(fluid)"
+            "dpd.pure_solvent(fluid), or a state to begin from, state=..."
         )
     build_key, noise_key = jax.random.split(key)
     integrator, step = suited(fluid, density, integrator=integrator, dt=dt)
@@ -134,6 +149,70 @@ def prepare(
     )
     _equilibrate(ensemble)
     return ensemble
+
+
+def adopt(
+    fluid,
+    goal: Goal,
+    key,
+    *,
+    state,
+    boxes,
+    dt=None,
+    integrator=None,
+    memory=None,
+    report=lambda text: None,
+) -> Ensemble:
+    """A batch of boxes that begin as one state, and go on until they are strangers.
+
+    ``memory``: how long that takes, by default as long as the molecules of the state remember.
+    Raises ValueError for colloids without one.
+    """
+    if fluid.has_radii and memory is None:
+        raise ValueError(
+            "how long a suspension remembers is not known: give memory=, its diffusion time or the "
+            "part of it that matters"
+        )
+    density = state.n / float(state.box.volume)
+    integrator, step = suited(fluid, density, integrator=integrator, dt=dt)
+    state = complete_lists(state.restarted())
+    check_run(System.of(fluid, step, None, integrator), state, key)
+    check_observed(goal, fluid, state)
+    keys = jax.random.split(key, boxes)
+    memory_of = memory_in(state, memory)
+    own = {"memory": memory_of, "report": report}
+    ensemble = Ensemble(fluid, goal, density, batched(state, keys), keys, dt, integrator, **own)
+    plan = piece(fluid, step)
+    times = max(5 * thermal_time(fluid), STRANGERS * memory_of(fluid)) / (step * plan.steps)
+    for _ in range(math.ceil(times)):
+        _extend(ensemble, fluid, step, plan)
+    return ensemble
+
+
+STRANGERS = 2.0
+"""Memories after which boxes that began as one have nothing in common."""
+CROWDED = 2.0
+"""By which beads that repel each other rub more than drag alone does: water's beads diffuse half as
+fast as its drag would let them."""
+
+
+def memory_in(state, memory: float | None = None) -> Callable:
+    """``memory(fluid)`` of a state: that of its molecules where no time is given."""
+    return lambda fluid: chain_memory(fluid, state) if memory is None else memory
+
+
+def chain_memory(fluid, state) -> float:
+    """The longest relaxation time of the molecules of a state by the model of Rouse, ``zeta b^2 /
+    (12 kT sin^2(pi / 2 N))`` (Doi & Edwards 1986, section 4.1), its friction that of the drag and
+    twice that for beads that repel each other [time]; 0 without bonds."""
+    if state.topology is None or not fluid.bonded:
+        return 0.0
+    numbers, density = extreme(fluid), state.n / float(state.box.volume)
+    longest = max(molecule.length for molecule in molecules_of(state))
+    bond = max([thermal_length(numbers, b) for b in numbers.bonded if b.kind == "bond"])
+    friction = CROWDED * float(np.max(numbers.mass)) * damping_rate(numbers, density)
+    slowest = 12.0 * float(numbers.kT) * math.sin(0.5 * math.pi / longest) ** 2
+    return friction * bond**2 / slowest
 
 
 EQUILIBRATION = Plan(10, 50)
@@ -221,10 +300,11 @@ def measure(
     _check_dt(ensemble.system_of(fluid, dt), ensemble.state)
     plan = piece(fluid, dt)
     piece_time = dt * plan.steps
-    for _ in range(math.ceil(settle / piece_time)):
+    for _ in range(math.ceil(max(settle, ensemble.memory(fluid)) / piece_time)):
         _extend(ensemble, fluid, dt, plan)
     series, noise, heat, spent = [], [], [], 0
-    block = math.ceil(remembered(fluid, ensemble.density) / piece_time)
+    memory = max(remembered(fluid, ensemble.density), ensemble.memory(fluid))
+    block = math.ceil(memory / piece_time)
     pieces = -(-max(LEAST_PIECES, LEAST_BLOCKS * block) // ensemble.state.position.shape[0])
     while True:
         frames = _extend(ensemble, fluid, dt, plan)

@@ -144,6 +144,11 @@ class _ByChords:
         return found
 
 
+@dataclasses.dataclass
+class SlowMean(_ByChords, Mean):
+    """A mean whose memory outlasts a tangent."""
+
+
 class _OfParts(_ByChords):
     """What follows from other gauges, its ``parts``."""
 

@@ -22,11 +22,16 @@ from dpdjax.calibration.goal import (
 from dpdjax.checks import number, positive
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.state import State
 from dpdjax.model.fluid import Fluid
 
 ABOVE_ZERO = ("viscosity", "diffusion", "schmidt", "compressibility")
 FALLING = ("diffusion", "compressibility")
 """What falls where friction or repulsion rises."""
+SLOW_ENOUGH = 0.3
+"""Shear rate times the longest memory of chains, up to which they are not stretched much."""
+OF_STATES = ("viscosity", "pressure", "target")
+"""What is measured in boxes that begin as a given state."""
 SIDES, LOOSE = (6.0, 10.0), 0.05
 """Least and largest side of a box in interaction ranges, and the tolerance from which on the
 shortest runs in the largest one are better than was asked for."""
@@ -46,26 +51,39 @@ class Setup:
     observe: Callable | None = None
     flow: Driving = None
     say: Callable[[str], None] = lambda text: None
+    state: State | None = None
+    memory: float | None = None
 
     def ensemble(self, fluid: Fluid, goal: Goal, key, density: float | None = None):
         """Boxes in equilibrium, at another density where one is given."""
+        how = {"boxes": self.boxes, "dt": self.dt, "integrator": self.integrator}
+        if self.state is not None:
+            given = {"state": self.state, "memory": self.memory, "report": self.say}
+            return experiment.adopt(fluid, goal, key, **given, **how)
         return experiment.prepare(
             fluid,
             goal,
             key,
             density=self.density if density is None else density,
             side=suggest_box(fluid, self.tolerance) if self.box is None else self.box,
-            boxes=self.boxes,
-            dt=self.dt,
-            integrator=self.integrator,
             report=self.say,
+            **how,
         )
 
     def viscosity_goal(self, fluid: Fluid, target: float) -> Goal:
         damped(fluid, self.density)
         if self.rate is not None:
             return viscosity_goal(target, float(positive(self.rate, "rate")))
-        return viscosity_goal_at(fluid, self.density, target, self.tolerance)
+        suggested = viscosity_goal_at(fluid, self.density, target, self.tolerance)
+        memory = 0.0 if self.state is None else experiment.memory_in(self.state, self.memory)(fluid)
+        if not memory:
+            return suggested
+        return viscosity_goal(target, min(SLOW_ENOUGH / memory, float(suggested.flow.rate)))
+
+    def mean(self, fluid: Fluid, key, goal_of: Callable) -> gauges.Mean:
+        """A gauge of a mean; of a state, whose memory outlasts a tangent, with slopes by chords."""
+        kind = gauges.Mean if self.state is None else gauges.SlowMean
+        return kind(self.ensemble(fluid, goal_of(fluid), key), goal_of)
 
 
 def suggest_box(fluid: Fluid, tolerance: float) -> float:
@@ -113,13 +131,13 @@ class _Gauges:
         """The viscosity, wanted or needed."""
         target = self.viscosity or rough_viscosity(self.fluid, self.setup.density)
         goal_of = lambda fluid: self.setup.viscosity_goal(fluid, target)
-        return gauges.Mean(self.setup.ensemble(self.fluid, goal_of(self.fluid), self.key), goal_of)
+        return self.setup.mean(self.fluid, self.key, goal_of)
 
     def _mean(self, name: str, target: float, key) -> gauges.Mean:
         observe, flow = self.setup.observe, self.setup.flow
         pressure = name == "pressure"
         goal = pressure_goal(target) if pressure else custom_goal(target, observe, flow)
-        return gauges.Mean(self.setup.ensemble(self.fluid, goal, key), lambda fluid: goal)
+        return self.setup.mean(self.fluid, key, lambda fluid: goal)
 
     def _diffusion(self, target: float, key) -> gauges.Diffusion:
         goal = custom_goal(target, _nothing, name="diffusion")
@@ -184,6 +202,25 @@ def _check(name: str, value, observe):
         )
     if name == "target" and not callable(observe):
         raise TypeError(f"observe is a {type(observe).__name__}; {ONE_NUMBER}")
+
+
+def refuse_of_state(asked: dict[str, float | None], state, memory, density, box):
+    """Raise for what does not go with a state to begin from, or needs one."""
+    if state is None:
+        if memory is not None:
+            raise ValueError("memory= is of the molecules of a state: give state=, or leave it out")
+        return
+    if not isinstance(state, State) or np.ndim(state.position) != 2:
+        raise TypeError("state is no single state; give one of dpd.molecules(...), made.state")
+    for name, value in (("density", density), ("box", box)):
+        if value is not None:
+            raise ValueError(f"{name}= is that of the state: leave it out")
+    others = [k for k, v in asked.items() if v is not None and k not in OF_STATES]
+    if others:
+        raise ValueError(
+            f"{others[0]}= is measured of one kind of bead, and a state is given: ask for "
+            f"{', '.join(OF_STATES)}"
+        )
 
 
 def refuse_unused(asked: dict[str, float | None], observe, flow, rate):

@@ -12,7 +12,8 @@ from dpdjax.configs.reading import Section, function_named, keywords
 from dpdjax.engine.choice import suited
 from dpdjax.errors import ConfigError
 
-KINDS = ("fluid", "suspension", "marbles")
+KINDS = ("fluid", "suspension", "marbles", "molecules")
+BONDS = ("bonds", "angles", "dihedrals")
 TERMS = ("conservative", "drag", "random")
 MATTER = ("kT", "mass", "radius", "inertia", "species", *TERMS, "interactions")
 PLACED = ("box", "density", "n", "start", "fractions", "skin", "sheared")
@@ -45,6 +46,8 @@ def made_of(file: Section, key: jax.Array, report) -> Made:
         build = getattr(dpd, kind)
         for name in ("attraction", "contact", "lubrication", "solvent_repulsion"):
             section = _with_law(section, name)
+        for name in BONDS:
+            section = _with_bonds(section, name)
         made = section.called(build, key, report=report, **how)
         return Made(made.fluid, made.state, made.dt, made.integrator, getattr(made, "tau", None))
     section.only(*MATTER, *PLACED)
@@ -87,7 +90,7 @@ def _terms(section: Section) -> dict:
 def _term(part: Section):
     law = function_named(part.need("law", str), f"{part.where} has law", (dpd.laws,))
     numbers = {name: x for name, x in part.values.items() if name != "law"}
-    own = [p for p in inspect.signature(law).parameters if p not in ("h", "R_i", "R_j")]
+    own = [name for name in keywords(law, only=True) if name not in ("R_i", "R_j")]
     Section(numbers, part.where).only(*own, *keywords(dpd.laws.term))
     return part.guarded(lambda: dpd.term(law, **numbers))
 
@@ -105,6 +108,15 @@ def _with_law(section: Section, name: str) -> Section:
     return Section(section.values | {name: made}, section.where)
 
 
+def _with_bonds(section: Section, name: str) -> Section:
+    """A section with terms in place of a table that is one, or of tables of them by name."""
+    if name not in section.values:
+        return section
+    part = section.table(name)
+    made = _term(part) if "law" in part.values else {n: _term(part.table(n)) for n in part.values}
+    return Section(section.values | {name: made}, section.where)
+
+
 def _integrator(section: Section):
     """The one that is named, with its numbers; None for that which suits."""
     if not section.values:
@@ -113,6 +125,7 @@ def _integrator(section: Section):
         "velocity-verlet": dpd.integrators.VelocityVerlet,
         "implicit-drag": dpd.integrators.ImplicitDrag,
         "multiple-time-step": dpd.integrators.MultipleTimeStep,
+        "cell-rescaling": dpd.integrators.CellRescaling,
     }
     name = section.need("name", str)
     if name not in known:

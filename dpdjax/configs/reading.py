@@ -107,12 +107,13 @@ class Section:
             raise ConfigError(f"{self.where}: {error}") from error
 
 
-def keywords(function: Callable) -> list[str]:
-    """Names that a function takes as keywords, those of what it hands on included."""
+def keywords(function: Callable, only: bool = False) -> list[str]:
+    """Names that a function takes as keywords, those of what it hands on included; ``only`` those
+    that it takes no other way."""
     names = []
     for name, parameter in inspect.signature(function).parameters.items():
         if parameter.kind == parameter.KEYWORD_ONLY or (
-            parameter.kind == parameter.POSITIONAL_OR_KEYWORD and name != "key"
+            parameter.kind == parameter.POSITIONAL_OR_KEYWORD and name != "key" and not only
         ):
             names.append(name)
     handed_on = {dpdjax.suspension: dpdjax.colloid_fluid, dpdjax.marbles: dpdjax.marble_fluid}

@@ -9,12 +9,16 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
 
 from dpdjax.bonded.forces import bonded_force, bonded_laplacian
 from dpdjax.engine.state import State
 from dpdjax.model.beads import inertias, masses
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.term import CENTRAL, FULL, TRANSVERSE
+from dpdjax.pairs import box as boxes
+from dpdjax.pairs.cells import inverse
 from dpdjax.pairs.forces import interactions_of
 from dpdjax.pairs.geometry import Columns, Moment, geometry
 from dpdjax.pairs.laws import CONSERVATIVE, DRAG, RANDOM, evaluate
@@ -154,6 +158,39 @@ def positions_of(species: int) -> Callable:
         }
 
     return positions_of_species
+
+
+def sizes_of(ids: ArrayLike) -> Callable:
+    """An observable of molecules of one kind, the means over them of ``squared_gyration`` and of
+    ``squared_end_to_end``, from the first bead to the last [length^2].
+
+    ``ids`` (molecules, beads), as ``dpd.molecules`` returns them; beads that follow one another in
+    a row are taken for nearest images, and all for equally heavy. ``dpd.measure.end_to_end`` and
+    ``radius_of_gyration`` read the same off recorded positions; this is for gradients, and goals of
+    ``calibrate``. Raises ValueError for ids of another shape.
+    """
+    ids = np.asarray(ids)
+    if ids.ndim != 2 or ids.shape[1] < 2 or ids.dtype.kind not in "iu":
+        raise ValueError(f"ids has {ids.dtype} of shape {ids.shape}; give (molecules, beads)")
+    return _sizes_of(ids.astype(np.int32).tobytes(), ids.shape)
+
+
+@functools.cache
+def _sizes_of(held: bytes, shape: tuple[int, int]) -> Callable:
+    """One function for the same molecules, so that runs of them share a program."""
+    ids = np.frombuffer(held, np.int32).reshape(shape)
+
+    def sizes(fluid, state) -> dict:
+        x = state.position[inverse(state.id)[ids]]
+        ahead = boxes.displacement(state.box, x[:, 1:], x[:, :-1])
+        place = jnp.pad(jnp.cumsum(ahead, axis=1), ((0, 0), (1, 0), (0, 0)))
+        from_middle = place - jnp.mean(place, axis=1, keepdims=True)
+        return {
+            "squared_gyration": jnp.mean(jnp.sum(from_middle**2, axis=(1, 2))) / shape[1],
+            "squared_end_to_end": jnp.mean(jnp.sum(place[:, -1] ** 2, axis=1)),
+        }
+
+    return sizes
 
 
 def _slots(fluid, state, species: int) -> tuple[int, int]:

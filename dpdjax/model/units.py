@@ -9,9 +9,10 @@ import dataclasses
 import math
 from typing import Any
 
+import jax
 from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete, positive
+from dpdjax.checks import is_concrete, number, plain, positive
 from dpdjax.model.fluid import Fluid, fluid
 from dpdjax.model.laws import central_drag, soft_repulsion
 from dpdjax.model.term import term
@@ -213,6 +214,25 @@ def water(
         term(central_drag, gamma=gamma, r_c=r_c),
     )
     return fluid(conservative=[conservative], drag=[drag], kT=kT, mass=mass)
+
+
+CHI = {3.0: 0.286, 5.0: 0.689}
+"""Flory-Huggins parameter over the excess repulsion in kT, by density (Groot & Warren 1997, eqs. 22
+and 23)."""
+
+
+def flory_huggins(excess: ArrayLike, *, density: float = 3.0, kT: ArrayLike = 1.0) -> jax.Array:
+    """The parameter chi of beads of two kinds, from how much more they repel each other than
+    themselves, ``a_AB - a_AA`` [energy / length], of reach 1.
+
+    Fitted to profiles of demixed fluids with chi of 3 and more (Groot & Warren 1997, eqs. 22 and
+    23). Raises ValueError for densities other than 3 and 5, which were fitted.
+    """
+    density = plain(density, "density", positive)
+    if density not in CHI:
+        known = " and ".join(f"{known:g}" for known in CHI)
+        raise ValueError(f"chi was fitted at densities {known}, not at {density:g}")
+    return CHI[density] * number(excess, "excess") / positive(kT, "kT")
 
 
 def repulsion_from_compressibility(

@@ -120,7 +120,7 @@ def test_a_scan(write, water, tmp_path, capsys):
     assert np.array_equal(merged.viscosity_each, table.viscosity_each)
 
 
-@pytest.mark.parametrize("kind", ["fluid", "suspension", "marbles", "scan"])
+@pytest.mark.parametrize("kind", ["fluid", "suspension", "marbles", "molecules", "scan"])
 def test_examples_are_right(kind, tmp_path, monkeypatch, capsys):
     """They are read to the end, and nothing in them is unknown; what they run is cut short."""
     monkeypatch.chdir(tmp_path)
