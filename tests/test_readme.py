@@ -47,9 +47,8 @@ SMALLER = {
     "Plan(20, 200)": "Plan(2, 10)",
     "Plan(2000, 20)": "Plan(60, 20)",
     "fit=(15.0, 20.0)": "fit=(0.2, 0.3)",
-    "box=8.0)": "box=4.0)",
     "Plan(200, 20)": "Plan(20, 2)",
-    '"H3(T4)2": 60, "W": 700}, box=[6.0, 6.0, 12.0]': '"H3(T4)2": 16, "W": 250}, box=[3.5, 3.5, 11.6]',
+    '"H3(T4)2": 60, "W": 700}, box=[6.0, 6.0, 12.0]': '"H3(T4)2": 16, "W": 250}, box=5.2',
     "hydrodynamic_radius([10.0], [D]": "hydrodynamic_radius([10.0], [dpd.Estimate(0.005, D.error)]",
 }
 """The same lines at a size that suits a test."""

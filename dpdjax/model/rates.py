@@ -163,10 +163,9 @@ def _of_bond(fluid, b: Bonded) -> tuple[float, float]:
     """Largest curvature of the energy of a bond where it is with 4 kT, and its thermal length."""
     r = shortest_reach(fluid) * np.geomspace(1e-3, 1e2, 10 * SAMPLES)
     energy, _, curvature = _along(fluid, b, r)
-    reached = energy - energy.min() <= 4.0 * float(fluid.kT)
-    weight = np.exp(
-        -np.where(reached, energy - energy.min(), np.inf) / max(float(fluid.kT), 1e-300)
-    )
+    above, kT = energy - energy.min(), float(fluid.kT)
+    reached = above <= 4.0 * kT
+    weight = np.exp(-above / kT) if kT > 0 else (above == 0).astype(float)
     # In equal steps of the logarithm: r^2 dr is r^3.
     weight = weight * r**3
     length = math.sqrt(float((weight * r**2).sum() / weight.sum()))

@@ -1,6 +1,8 @@
 """Chains, rings, stars and lipids to start from, in a solvent or as a melt."""
 
 import dataclasses
+import math
+import warnings
 from collections.abc import Callable, Mapping
 
 import jax
@@ -27,6 +29,9 @@ from dpdjax.prepare.start import beads_in, placed, plan_lists
 
 ARRANGEMENTS = ("random", "bilayer", "lamella")
 AXES = {"x": 0, "y": 1, "z": 2}
+ROOMY = 14.0
+"""Sides of a box, in roots of the mean square of a component of a bond, in which no bond becomes
+as long as half a side."""
 LAYERED = 0.9
 """Bonds of a molecule of a bilayer over the length that its beads take along the normal."""
 
@@ -147,6 +152,7 @@ def molecules(
     )
     order = _Order.of(kinds, counts, letters)
     density = sum(order.counts) / float(np.prod(lengths))
+    _warn_of_short_sides(made, lengths)
     integrator, dt = suited(made, density, integrator=integrator, dt=dt)
     space = boxes.box(lengths)
     grids = plan_lists(made, space, order.counts, skin=skin, dt=dt, sheared=sheared)
@@ -162,6 +168,19 @@ def molecules(
     if report is not None:
         report(str(found))
     return found
+
+
+def _warn_of_short_sides(made: Fluid, lengths):
+    """Warn of a box in which bonds reach half a side by chance, which ends a run."""
+    numbers = extreme(made)
+    longest = max([thermal_length(numbers, b) for b in numbers.bonded if b.kind == "bond"] or [0.0])
+    least = ROOMY * longest / math.sqrt(3.0)
+    if min(lengths) < least:
+        warnings.warn(
+            f"bonds {longest:.2g} long on average reach half of a side of {min(lengths):.3g} now "
+            f"and then, and a run ends there: use sides of {least:.2g} or more, or stiffer bonds",
+            stacklevel=3,
+        )
 
 
 def _springs(kT, r_c):

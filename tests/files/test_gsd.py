@@ -185,7 +185,9 @@ def test_rotation_is_written_as_hoomd_means_it(key, tmp_path):
         np.testing.assert_allclose(axis, axis_of(ran.frames["orientation"][k, 0]), atol=1e-6)
     assert abs(q[0]) < 0.99, "it has turned"
     blind = dataclasses.replace(ran, frames={name: ran.frames[name] for name in ("step", "time")})
-    with pytest.raises(ValueError, match="no angular_velocity, image, lengths, orientation, position"):
+    with pytest.raises(
+        ValueError, match="no angular_velocity, image, lengths, orientation, position"
+    ):
         dpd.write_gsd(tmp_path / "none.gsd", blind)
 
 
