@@ -60,6 +60,14 @@ def not_negative(value, name: str):
     return array
 
 
+def angle(value, name: str):
+    """:func:`number`, and from 0 to pi."""
+    array = number(value, name)
+    if is_concrete(array) and not np.all((np.asarray(array) >= 0) & (np.asarray(array) < 3.1416)):
+        raise ValueError(f"{name} is {value}; it is in radians, from 0 to pi")
+    return array
+
+
 def one(value, name: str, check=number):
     """:func:`number`, or another check, of what is no array; TypeError with its shape for one."""
     array = check(value, name)

@@ -22,7 +22,9 @@ def cosine(v):
 
 def dihedral_cosine(v):
     """``cos(phi)`` between the planes of four beads in a chain (count,), -1 in trans."""
-    first, second = _cross(v[:, 0], v[:, 1]), _cross(v[:, 1], v[:, 2])
+    # Of unit vectors: squares of products of lengths leave the range of float32 in small units.
+    a, b, c = (v[:, k] * _inverse(v[:, k])[None] for k in range(3))
+    first, second = _cross(a, b), _cross(b, c)
     return jnp.sum(first * second, axis=0) * _inverse(first) * _inverse(second)
 
 

@@ -17,6 +17,8 @@ HIGHEST = jax.lax.Precision.HIGHEST
 def bonded_force(fluid: Fluid, state, tally: bool = False) -> Forces:
     """Forces (n, 3) of all bonds, angles and dihedrals of a state, and, if asked for by ``tally``
     (static), their energy and virials by origin."""
+    if state.topology is None:
+        raise ValueError("the fluid has bonds and the state has none: state.bonded({name: ids})")
     n, dtype = state.position.shape[0], state.position.dtype
     total = Tally.zero(dtype, fluid.origins) if tally else None
     slot, position = cells.inverse(state.id), tuple(state.position[:, k] for k in range(3))

@@ -109,7 +109,20 @@ def _rows(name: str, rows, n: int):
     twice = np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1))
     if twice.size:
         raise ValueError(f"{name!r} {twice[0]} is {rows[twice[0]].tolist()}, one bead twice")
+    _refuse_twins(name, rows)
     return jnp.asarray(rows, jnp.int32)
+
+
+def _refuse_twins(name: str, rows):
+    """Raise ValueError for the same beads said again, either way round: they would act twice."""
+    either = np.where(rows[:, :1] > rows[:, -1:], rows[:, ::-1], rows)
+    _, first = np.unique(either, axis=0, return_index=True)
+    again = np.setdiff1d(np.arange(len(rows)), first)
+    if again.size:
+        raise ValueError(
+            f"{name!r} {again[0]} is {rows[again[0]].tolist()}, which is there before: give each "
+            "once, one way round"
+        )
 
 
 def _sides(box, position, image, slots):

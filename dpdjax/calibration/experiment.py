@@ -20,7 +20,7 @@ from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.members import called
 from dpdjax.engine.observables import standard
 from dpdjax.engine.record import mean, recorders
-from dpdjax.engine.refusals import check_dt, check_run
+from dpdjax.engine.refusals import check_dt, check_run, fitted
 from dpdjax.engine.simulate import proceed
 from dpdjax.engine.state import grow
 from dpdjax.engine.system import System
@@ -34,7 +34,9 @@ from dpdjax.model.laws import central_drag
 from dpdjax.model.rates import (
     damping_rate,
     extreme,
+    over,
     repulsion_energy,
+    stiffness,
     thermal_length,
     thermal_time,
 )
@@ -175,7 +177,7 @@ def adopt(
         )
     density = state.n / float(state.box.volume)
     integrator, step = suited(fluid, density, integrator=integrator, dt=dt)
-    state = complete_lists(state.restarted())
+    state = complete_lists(fitted(fluid, state.restarted()))
     check_run(System.of(fluid, step, None, integrator), state, key)
     check_observed(goal, fluid, state)
     keys = jax.random.split(key, boxes)
@@ -203,16 +205,26 @@ def memory_in(state, memory: float | None = None) -> Callable:
 
 def chain_memory(fluid, state) -> float:
     """The longest relaxation time of the molecules of a state by the model of Rouse, ``zeta b^2 /
-    (12 kT sin^2(pi / 2 N))`` (Doi & Edwards 1986, section 4.1), its friction that of the drag and
-    twice that for beads that repel each other [time]; 0 without bonds."""
-    if state.topology is None or not fluid.bonded:
+    (12 kT sin^2(pi / 2 N))`` (Doi & Edwards 1986, section 4.1) [time]; 0 without bonds.
+
+    The friction is twice that of the drag, for beads that repel each other; ``b^2`` is that of
+    bonds as stiff as angles make them, of a rod at most.
+    """
+    if state.topology is None or not _bonds(fluid, state):
         return 0.0
     numbers, density = extreme(fluid), state.n / float(state.box.volume)
     longest = max(molecule.length for molecule in molecules_of(state))
-    bond = max([thermal_length(numbers, b) for b in numbers.bonded if b.kind == "bond"])
+    bond = max(thermal_length(numbers, b) for b in _bonds(numbers, state))
+    swollen = min(stiffness(numbers), float(longest))
     friction = CROWDED * float(np.max(numbers.mass)) * damping_rate(numbers, density)
     slowest = 12.0 * float(numbers.kT) * math.sin(0.5 * math.pi / longest) ** 2
-    return friction * bond**2 / slowest
+    return over(friction * swollen * bond**2, slowest)
+
+
+def _bonds(fluid, state) -> list:
+    """The types of bonds that a state has any of."""
+    counts = state.topology.counts
+    return [b for b in fluid.bonded if b.kind == "bond" and counts.get(b.name)]
 
 
 EQUILIBRATION = Plan(10, 50)

@@ -183,6 +183,9 @@ class MultipleTimeStep(Integrator):
         is held."""
         slow, stiff = self._apart(fluid)
         limits = super().dt_limits(slow, density, sizes) if slow.interactions else []
+        if not slow.interactions and fluid.bonded:
+            every = super().dt_limits(fluid, density, sizes)
+            limits = [one for one in every if one[0] == advice.BOND]
         kept = advice.REPULSION, advice.CONTACT
         return limits + [
             (f"{name}, in short steps", self.inner * limit)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dpdjax.bonded.topology import NOBODY, Topology
 from dpdjax.engine.state import State
 from dpdjax.pairs import neighbours as lists
 
@@ -38,8 +39,17 @@ class Part(NamedTuple):
         rotation = state.rotation
         if rotation is not None:
             rotation = dataclasses.replace(rotation, begin=rotation.begin - self.begin)
-        beads |= {"id": beads["id"] - self.begin, "rotation": rotation, "topology": None}
+        own = {"rotation": rotation, "topology": self._apart(state)}
+        beads |= {"id": beads["id"] - self.begin} | own
         return dataclasses.replace(state, **beads, neighbours=neighbours)
+
+    def _apart(self, state: State) -> Topology | None:
+        """Which pairs of the part no list holds; bonds act on the whole."""
+        if state.excluded is None:
+            return None
+        partners = state.topology.partners[self.begin : self.end]
+        within = (partners >= self.begin) & (partners < self.end)
+        return Topology({}, {}, jnp.where(within, partners - self.begin, NOBODY))
 
     def put(self, rows, own):
         """``own`` rows of the part in place of those of all beads (n, ...)."""

@@ -23,6 +23,13 @@ from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.forces import interactions_of
 
 
+def fitted(fluid, state):
+    """A state that no run has begun with, with room for what this fluid keeps; others, and what is
+    neither, as they are."""
+    is_fit = isinstance(fluid, Fluid) and isinstance(state, State)
+    return state.keeping(fluid.origins) if is_fit else state
+
+
 def check_run(system: System, state, key):
     """Errors that can be told before the work starts, each with the value and the cure."""
     fluid = system.fluid

@@ -13,7 +13,7 @@ from dpdjax.engine.flow import Driving
 from dpdjax.engine.forces import EVERYTHING, check_kinds_of_force, forces_on, update_lists
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import Observing, Recorder, averaged, check_names, recorders
-from dpdjax.engine.refusals import check_plan, check_run, list_trouble
+from dpdjax.engine.refusals import check_plan, check_run, fitted, list_trouble
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
@@ -53,6 +53,7 @@ def simulate(
     every gradient; ``dpd.run`` repairs overflows instead.
     """
     system = System.of(fluid, dt, flow, integrator)
+    state = fitted(fluid, state)
     check_run(system, state, key)
     check_plan(plan, state)
     if system.is_batch:
@@ -198,6 +199,7 @@ def step(
     whose force is not yet known, or known to another integrator.
     """
     system = System.of(fluid, dt, flow, integrator)
+    state = fitted(fluid, state)
     if not is_concrete(state.started) or state.started != system.integrator.mark_of(fluid):
         check_run(system, state, key)
     system, key = system.as_type(state.position.dtype), prng_key(key)
@@ -231,6 +233,7 @@ def forces(
     check_kinds_of_force(kinds)
     kinds = tuple(kinds)
     system = System.of(fluid, dt, flow)
+    state = fitted(fluid, state)
     check_run(system, state, key)
     system = system.as_type(state.position.dtype)
     state = update_lists(state)

@@ -146,6 +146,16 @@ class State:
         anew = tuple(lists.allocate(grid, self.box, self.position) for grid in grids)
         return dataclasses.replace(self, neighbours=anew)
 
+    def keeping(self, origins: tuple[str, ...]) -> "State":
+        """The same state, one or a batch, where its force is not known yet, with room for the
+        stresses of these names."""
+        held = self.tally.virial
+        if set(held) == set(origins) or not is_concrete(self.started) or np.any(self.started):
+            return self
+        nothing = jnp.zeros_like(next(iter(held.values())))
+        virial = {origin: held.get(origin, nothing) for origin in origins}
+        return dataclasses.replace(self, tally=dataclasses.replace(self.tally, virial=virial))
+
     @property
     def excluded(self) -> lists.Excluded | None:
         """The pairs that no list holds, or None."""

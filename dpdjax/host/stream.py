@@ -24,7 +24,14 @@ from dpdjax.engine.chunk import (
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.record import Observing, averaged, recorders
-from dpdjax.engine.refusals import check_finite, check_kinds, check_plan, check_run, list_trouble
+from dpdjax.engine.refusals import (
+    check_finite,
+    check_kinds,
+    check_plan,
+    check_run,
+    fitted,
+    list_trouble,
+)
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
@@ -108,7 +115,7 @@ class Job:
                 "numbers alike, one for each"
             )
         check_kinds(system, state)
-        state = batched(state, key)
+        state = fitted(system.fluid, batched(state, key))
         one = jax.tree.map(lambda leaf: leaf[0], state) if key.ndim else state
         check_plan(plan, state)
         check_run(system, one, key)

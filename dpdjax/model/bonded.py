@@ -55,7 +55,7 @@ def bonded(kind: str, terms: Terms) -> tuple[Bonded, ...]:
 
 
 def _is_given(terms) -> bool:
-    return isinstance(terms, Term) or len(tuple(terms)) > 0
+    return terms is not None and (isinstance(terms, Term) or len(tuple(terms)) > 0)
 
 
 def _type(kind: str, name, terms: list[Term]) -> Bonded:
@@ -65,17 +65,35 @@ def _type(kind: str, name, terms: list[Term]) -> Bonded:
         raise ValueError(f"the type of {kind} {name!r} has no term: give one, or leave it out")
     for t in terms:
         check_kind(t.law, POTENTIAL)
+        _check_coordinate(t, kind)
         if takes(t.law, "R_i", "R_j"):
             raise TypeError(
                 f"{name_of(t.law)} asks for radii, and a {kind} has the distance of two centres or "
                 "a cosine: give a law of that"
             )
-        tables = [
-            k for k, c in t.coefficients.items() if not isinstance(c, Whole) and jnp.ndim(c) > 1
-        ]
+    made = Bonded(tuple(terms), kind, name)
+    refuse_tables(made)
+    return made
+
+
+def refuse_tables(b: Bonded):
+    """Raise ValueError for a coefficient that is a table of species; a vector is a batch."""
+    for t in b.terms:
+        numbers = {k: c for k, c in t.coefficients.items() if not isinstance(c, Whole)}
+        tables = [k for k, c in numbers.items() if jnp.ndim(c) > 1]
         if tables:
             raise ValueError(
-                f"{tables[0]} of the {kind} {name!r} is a table of species; give each type of "
-                f'{kind} its own number, {kind}s={{"AA": dpd.term(...), "AB": dpd.term(...)}}'
+                f"{tables[0]} of the {b.kind} {b.name!r} is a table of species; give each type of "
+                f'{b.kind} its own number, {b.kind}s={{"AA": dpd.term(...), "AB": dpd.term(...)}}'
             )
-    return Bonded(tuple(terms), kind, name)
+
+
+def _check_coordinate(t: Term, kind: str):
+    """Raise ValueError for a law of a cosine where a distance is, and the other way round."""
+    kinds = getattr(t.law, "of_kinds", ("bond",) if t.is_bounded else (kind,))
+    if kind not in kinds:
+        article = "an" if kind == "angle" else "a"
+        raise ValueError(
+            f"{name_of(t.law)} is a law of {' and '.join(f'{k}s' for k in kinds)}, and was given "
+            f"as that of {article} {kind}"
+        )

@@ -13,6 +13,17 @@ from jax.typing import ArrayLike
 from dpdjax.model.declare import bounded, potential, proportional_to
 
 
+def _of(*kinds: str):
+    """A decorator that says what a law may be of: of a distance, or of a cosine."""
+
+    def declare(law):
+        law.of_kinds = kinds
+        return law
+
+    return declare
+
+
+@_of("bond")
 @potential
 @proportional_to("k")
 @bounded(k="not negative", r0="not negative")
@@ -25,6 +36,7 @@ def harmonic_bond(r: ArrayLike, *, k: ArrayLike, r0: ArrayLike = 0.0) -> jax.Arr
     return 0.5 * k * (r - r0) ** 2
 
 
+@_of("bond")
 @potential
 @proportional_to("k")
 @bounded(k="not negative", r_max="positive", r0="not negative")
@@ -40,9 +52,10 @@ def fene_bond(r: ArrayLike, *, k: ArrayLike, r_max: ArrayLike, r0: ArrayLike = 0
     return jnp.where(within, inside, jnp.inf * stretch)
 
 
+@_of("angle", "dihedral")
 @potential
 @proportional_to("k")
-@bounded(k="not negative")
+@bounded(k="not negative", theta0="angle")
 def cosine_angle(c: ArrayLike, *, k: ArrayLike, theta0: ArrayLike = jnp.pi) -> jax.Array:
     """Bending, ``k (1 - cos(theta - theta0))``, theta between 0 and pi.
 
@@ -54,14 +67,16 @@ def cosine_angle(c: ArrayLike, *, k: ArrayLike, theta0: ArrayLike = jnp.pi) -> j
     return k * (1.0 - (c * jnp.cos(theta0) + jnp.sin(theta0) * sine))
 
 
+@_of("angle", "dihedral")
 @potential
 @proportional_to("k")
-@bounded(k="not negative")
+@bounded(k="not negative", theta0="angle")
 def harmonic_cosine(c: ArrayLike, *, k: ArrayLike, theta0: ArrayLike = jnp.pi) -> jax.Array:
     """Bending, ``k (cos(theta) - cos(theta0))^2 / 2`` (``k`` as in GROMACS and MARTINI)."""
     return 0.5 * k * (c - jnp.cos(theta0)) ** 2
 
 
+@_of("angle", "dihedral")
 @potential
 @proportional_to("k")
 def cosine_dihedral(
@@ -75,6 +90,7 @@ def cosine_dihedral(
     return 0.5 * k * (1.0 + d * _chebyshev(c, n))
 
 
+@_of("angle", "dihedral")
 @potential
 def ryckaert_bellemans(
     c: ArrayLike,

@@ -138,8 +138,12 @@ def colloid_fluid(
 def pure_solvent(fluid: Fluid) -> Fluid:
     """The solvent of a suspension alone: what its viscosity is to be measured of.
 
-    Raises ValueError for a fluid whose first species does not interact with itself.
+    Raises ValueError for a fluid whose first species does not interact with itself, or with bonds.
     """
+    if fluid.bonded:
+        raise ValueError(
+            "this fluid has bonds, its solvent too perhaps: measure a state, state=..."
+        )
     for among in fluid.interactions:
         if among.groups == ((SOLVENT,), (SOLVENT,)):
             return Fluid(

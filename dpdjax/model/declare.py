@@ -6,14 +6,14 @@ No layer knows a law or a coefficient by name; it reads what is declared here.
 
 from collections.abc import Callable
 
-from dpdjax.checks import not_negative, positive
+from dpdjax.checks import angle, not_negative, positive
 
 CENTRAL, TRANSVERSE, FULL = "central", "transverse", "full"
 PROJECTORS = (CENTRAL, TRANSVERSE, FULL)
 """What part of the relative velocity of two surfaces a friction acts on: along the line of centres,
 across it, all of it."""
 POTENTIAL, FRICTION = "potential", "friction"
-BOUNDS = {"positive": positive, "not negative": not_negative}
+BOUNDS = {"positive": positive, "not negative": not_negative, "angle": angle}
 """What :func:`bounded` may say of a coefficient."""
 
 
@@ -43,10 +43,9 @@ def friction(law: Callable) -> Callable:
 
 def bounded(**bounds: str) -> Callable:
     """A decorator that says which numbers a law takes, ``@dpd.laws.bounded(gamma="not negative",
-    r_c="positive")``.
+    r_c="positive")``, or ``theta0="angle"``, from 0 to pi.
 
-    Others are refused where they are given. Raises ValueError for a bound that is none of these
-    two.
+    Others are refused where they are given. Raises ValueError for another bound.
     """
     for name, bound in bounds.items():
         if bound not in BOUNDS:

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.checks import choice, is_concrete, not_negative, positive, whole
 from dpdjax.model import summary
-from dpdjax.model.bonded import BEADS, Bonded, Terms, bonded
+from dpdjax.model.bonded import BEADS, Bonded, Terms, bonded, refuse_tables
 from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
 from dpdjax.model.term import Term, Whole, check_table, coefficient, replace_coefficients, several
 
@@ -257,11 +257,15 @@ class Fluid:
         )
         for name, value in numbers.items():
             check_table(name, coefficient(value, name, *_wholes(chosen, name)), self.species)
+        if between is None:
+            _refuse_several_kinds(self.bonded, given)
         named = [_called(part) for part in chosen]
         take = lambda t: replace_coefficients(t, numbers)
         changed = lambda part: part.map_terms(take) if _called(part) in named else part
         old = _scaled(self, kT, given) if energies == "scale" else self
         interactions, bonds = (tuple(map(changed, p)) for p in (old.interactions, old.bonded))
+        for b in bonds:
+            refuse_tables(b)
         return Fluid(interactions, kT, mass, self.radius, inertia, bonds)
 
     @property
@@ -379,6 +383,18 @@ def fluid(
 def _called(part: Interaction | Bonded):
     """What :meth:`Fluid.set` calls a part of a fluid: its two groups, or the name of its type."""
     return part.name if isinstance(part, Bonded) else part.groups
+
+
+def _refuse_several_kinds(types: tuple[Bonded, ...], names):
+    """Raise ValueError for a number that bonds have and angles too: it is not the same one."""
+    for name in names:
+        kinds = {b.kind: b.name for b in types for t in b.terms if name in t.coefficients}
+        if len(kinds) > 1:
+            told = " and ".join(f"{kind}s" for kind in kinds)
+            raise ValueError(
+                f"{name} is a number of {told}: say which is meant, between="
+                f"{next(iter(kinds.values()))!r}"
+            )
 
 
 def _check_types(types: tuple[Bonded, ...], interactions):

@@ -139,24 +139,37 @@ def pair_frequency(
 
 
 def bond_frequency(fluid: Fluid) -> float:
-    """Fastest oscillation of two beads of a bond, or of three of an angle, by the curvature of its
-    energy where they are with 4 kT [1/time]; 0 without bonds.
+    """Fastest oscillation of two beads of a bond, of three of an angle or four of a dihedral, by
+    the curvature of its energy where they are with 4 kT [1/time]; 0 without bonds.
 
     ``sqrt(U'' / mu)``, and ``sqrt(6 U_theta / m) / l`` of an angle between bonds of length l: of a
-    chain the mean square over its modes. The lightest beads there are count.
+    chain the mean square over its modes; ``sqrt(10 U_phi / m) / l`` of a dihedral, roughly. The
+    lightest beads there are count.
     """
     mass = float(np.min(fluid.mass))
     bonds = [_of_bond(fluid, b) for b in fluid.bonded if b.kind == "bond"]
-    bending = [_bending(fluid, b) for b in fluid.bonded if b.kind == "angle"]
     stretch = max((2.0 * curvature / mass for curvature, _ in bonds), default=0.0)
-    length = min((length for _, length in bonds), default=0.0)
-    bend = 6.0 * over(max(bending, default=0.0), mass * length**2) if length else 0.0
-    return math.sqrt(max(stretch, bend))
+    length = min((length for _, length in bonds), default=shortest_reach(fluid))
+    turning = [TURNS[b.kind] * _turning(fluid, b)[0] for b in fluid.bonded if b.kind in TURNS]
+    return math.sqrt(max(stretch, over(max(turning, default=0.0), mass * length**2)))
+
+
+TURNS = {"angle": 6.0, "dihedral": 10.0}
+"""What the curvature of an energy with an angle is multiplied by, over m l^2, for the square of a
+frequency."""
 
 
 def thermal_length(fluid: Fluid, b: Bonded) -> float:
-    """Root of the mean square length of a bond by itself [length]."""
+    """Root of the mean square length of a bond by itself [length]; of one that can break, while it
+    holds."""
     return _of_bond(fluid, b)[1]
+
+
+def stiffness(fluid: Fluid) -> float:
+    """By how much the bending of angles swells long chains: ``(1 + c)/(1 - c)``, c the mean cosine
+    between bonds (Flory 1969); of the stiffest type, 1 without angles."""
+    bends = [-_turning(fluid, b)[1] for b in fluid.bonded if b.kind == "angle"]
+    return max([1.0, *((1.0 + c) / (1.0 - c) for c in bends)])
 
 
 def _of_bond(fluid, b: Bonded) -> tuple[float, float]:
@@ -164,21 +177,40 @@ def _of_bond(fluid, b: Bonded) -> tuple[float, float]:
     r = shortest_reach(fluid) * np.geomspace(1e-3, 1e2, 10 * SAMPLES)
     energy, _, curvature = _along(fluid, b, r)
     above, kT = energy - energy.min(), float(fluid.kT)
-    reached = above <= 4.0 * kT
-    weight = np.exp(-above / kT) if kT > 0 else (above == 0).astype(float)
     # In equal steps of the logarithm: r^2 dr is r^3.
-    weight = weight * r**3
+    weight = _held(_boltzmann(above, kT) * r**3, int(np.argmin(energy)))
     length = math.sqrt(float((weight * r**2).sum() / weight.sum()))
-    return float(np.max(curvature[reached], initial=0.0)), length
+    return float(np.max(curvature[above <= 4.0 * kT], initial=0.0)), length
 
 
-def _bending(fluid, b: Bonded) -> float:
-    """Largest curvature of the energy of an angle with the angle, where it is with 4 kT."""
-    theta = np.pi * (np.arange(SAMPLES) + 0.5) / SAMPLES
-    energy, slope, curvature = _along(fluid, b, np.cos(theta))
-    bent = np.sin(theta) ** 2 * curvature - np.cos(theta) * slope
-    reached = energy - energy.min() <= 4.0 * float(fluid.kT)
-    return float(np.max(bent[reached], initial=0.0))
+def _held(weight, lowest: int):
+    """Weights up to where, beyond the well, they rise again: a bond of finite depth is broken
+    there."""
+    rises = np.diff(weight) > 0
+    past = lowest + int(np.argmin(rises[lowest:]))
+    again = np.flatnonzero(rises[past:])
+    end = past + again[0] if again.size else len(weight)
+    return np.where(np.arange(len(weight)) <= end, weight, 0.0)
+
+
+def _turning(fluid, b: Bonded) -> tuple[float, float]:
+    """Largest curvature of the energy of an angle or a dihedral with the angle, where it is with 4
+    kT, and its mean cosine."""
+    angle = np.pi * (np.arange(SAMPLES) + 0.5) / SAMPLES
+    energy, slope, curvature = _along(fluid, b, np.cos(angle))
+    bent = np.sin(angle) ** 2 * curvature - np.cos(angle) * slope
+    above, kT = energy - energy.min(), float(fluid.kT)
+    weight = _boltzmann(above, kT) * (np.sin(angle) if b.kind == "angle" else 1.0)
+    mean = float((weight * np.cos(angle)).sum() / weight.sum())
+    return float(np.max(bent[above <= 4.0 * kT], initial=0.0)), mean
+
+
+def _boltzmann(above, kT: float):
+    """Weights of energies above the lowest; at no temperature of that alone."""
+    if kT <= 0:
+        return (above == 0).astype(float)
+    with np.errstate(over="ignore"):
+        return np.exp(-above / kT)
 
 
 def _along(fluid, b: Bonded, q):
@@ -191,7 +223,8 @@ def _along(fluid, b: Bonded, q):
             inside = True if reach is None else q < float(reach)
             rise = lambda x, law=law: jax.jvp(law, (x,), (one,))[1]
             values = (law(at), *jax.jvp(rise, (at,), (one,)))
-            u, du, ddu = (np.nan_to_num(np.asarray(x, float), nan=np.inf) for x in values)
+            known = lambda x: np.nan_to_num(np.asarray(x, float), nan=np.inf, posinf=np.inf)
+            u, du, ddu = map(known, values)
             u = u if reach is None else u - float(law(jnp.asarray(reach)))
             energy, slope = energy + np.where(inside, u, 0.0), slope + np.where(inside, du, 0.0)
             curvature = curvature + np.where(inside, ddu, 0.0)

@@ -13,13 +13,14 @@ from jax.typing import ArrayLike
 from dpdjax.checks import choice, plain, positive, prng_key, whole
 from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
+from dpdjax.engine.refusals import check_bonds
 from dpdjax.engine.state import State
 from dpdjax.model import bonded_laws, laws
 from dpdjax.model.bonded import BEADS, Bonded, Terms
 from dpdjax.model.fluid import Fluid, fluid
 from dpdjax.model.rates import extreme, thermal_length
 from dpdjax.model.summary import as_table
-from dpdjax.model.term import term
+from dpdjax.model.term import several, term
 from dpdjax.pairs import box as boxes
 from dpdjax.pairs.noise import Domain
 from dpdjax.prepare import layout
@@ -82,7 +83,7 @@ def molecules(
     *,
     box: ArrayLike,
     density: float | None = None,
-    a: ArrayLike | Mapping[str, float] = 25.0,
+    a: ArrayLike | Mapping[str, float] | None = None,
     gamma: ArrayLike | Mapping[str, float] = 4.5,
     kT: ArrayLike = 1.0,
     mass: ArrayLike | Mapping[str, float] = 1.0,
@@ -111,12 +112,14 @@ def molecules(
         box: one side or three [length].
         density: beads per volume, 3/r_c^3 by default; not given with numbers of molecules.
         a: repulsion of every two beads [energy / length], a number, or one for each pair of
-            species, ``{"AA": 25, "AB": 40, "BB": 25}``; ``"*"`` is for all that is not named.
+            species, ``{"AA": 25, "AB": 40, "BB": 25}``; ``"*"`` is for all that is not named. By
+            default 25 kT/r_c, so it follows ``kT``.
         gamma: friction likewise [mass / time].
         kT, r_c: thermal energy, and reach of both.
         mass: of a bead, or of each species by its letter.
         bonds: terms of a bond, by default a spring of k = 4 kT/r_c^2 and no length (Groot & Warren
-            1997); or by the species it is between, ``{"AA": ..., "AB": ...}``.
+            1997); or by the species it is between, ``{"AA": ..., "AB": ...}``, ``"*"`` for all that
+            is not named. In the fluid types have these names, and that of all others is ``"bond"``.
         angles, dihedrals: likewise, of three and four beads one after another, ``{"TTT":
             dpd.term(dpd.laws.cosine_angle, k=20.0)}``. Terms by themselves are for all that there
             are along the chain and out along its branches; of those by name, ones that no name fits
@@ -139,6 +142,7 @@ def molecules(
     r_c = plain(r_c, "r_c", positive)
     kinds, counts = _counted(amounts, lengths, density, r_c)
     letters = {letter: k for k, letter in enumerate(_letters(kinds))}
+    a = 25.0 * positive(kT, "kT", "or give a=") / r_c if a is None else a
     given = {"bond": _springs(kT, r_c) if bonds is None else bonds}
     given |= {"angle": angles, "dihedral": dihedrals}
     given = {kind: _of_types(kind, terms, kinds) for kind, terms in given.items()}
@@ -163,6 +167,8 @@ def molecules(
     # Images that make molecules whole: unwrapped positions are those they were laid out at.
     state = dataclasses.replace(state, image=boxes.wrap(space, position)[1])
     state = state.bonded(order.groups(made, kinds), exclude=exclude)
+    _refuse_wrapped(made, state)
+    check_bonds(made, state)
     state = pushed_off(made, state, key)
     found = Molecules(made, state, float(dt), integrator, letters, order.ids)
     if report is not None:
@@ -183,9 +189,21 @@ def _warn_of_short_sides(made: Fluid, lengths):
         )
 
 
+def _refuse_wrapped(made: Fluid, state: State):
+    """Raise ValueError where a bond was laid out longer than half a side: it would be one with
+    another image of the bead, and molecules would be closed around the box without a word."""
+    if any(np.any(np.asarray(sides)) for sides in state.topology.sides.values()):
+        raise ValueError(
+            f"bonds start {_step(made):.3g} long, more than half of a side of the box, "
+            f"{float(np.min(np.asarray(state.box.lengths))):.3g}: give a larger box, or shorter "
+            "bonds"
+        )
+
+
 def _springs(kT, r_c):
     """The bonds of Groot & Warren (1997): springs of 4 kT/r_c^2 and no length."""
-    return term(bonded_laws.harmonic_bond, k=4.0 * np.asarray(kT) / r_c**2)
+    kT = positive(kT, "kT", "bonds follow it, or give bonds=")
+    return term(bonded_laws.harmonic_bond, k=4.0 * np.asarray(kT, float) / r_c**2)
 
 
 def _counted(amounts, lengths, density, r_c) -> tuple[list[Architecture], list[int]]:
@@ -205,7 +223,14 @@ def _counted(amounts, lengths, density, r_c) -> tuple[list[Architecture], list[i
             "that add up to 1, or whole numbers of molecules"
         )
     beads = beads_in(lengths, 3.0 / r_c**3 if density is None else density)
-    return kinds, _nearest(shares * beads, [kind.n for kind in kinds])
+    counts = _nearest(shares * beads, [kind.n for kind in kinds])
+    for kind, share, count in zip(kinds, shares, counts):
+        if share > 0 and not count:
+            raise ValueError(
+                f"{kind.word!r} has a share of {share:g}, and in this box that is no whole "
+                f"molecule of {kind.n} beads: give a larger box or share, or numbers of molecules"
+            )
+    return kinds, counts
 
 
 def _nearest(beads, sizes) -> list[int]:
@@ -239,8 +264,9 @@ def _table(value, letters: dict[str, int], name: str):
                 f'{name}={{"AA": ..., "AB": ...}}'
             )
         i, j = (letters[letter] for letter in names)
-        if pair[::-1] in value and value[pair[::-1]] != number:
-            raise ValueError(f"{name} has two numbers for {pair!r} and {pair[::-1]!r}")
+        for other in value:
+            if _alike(other) == _alike(pair) and value[other] != number:
+                raise ValueError(f"{name} has two numbers for {pair!r} and {other!r}")
         table[i, j] = table[j, i] = number
     lacks = [
         f"{a}{b}"
@@ -278,7 +304,35 @@ def _of_types(kind: str, terms: Terms, kinds) -> Terms:
         if not fits:
             told = ", ".join(sorted("".join(names) for names in there)) or "none"
             raise ValueError(f"{kind}s has {name!r}, and the molecules have {told}")
-    return terms if there else ()
+    for name in named:
+        twins = [other for other in named if _alike(other) == _alike(name)]
+        if len(twins) > 1:
+            told = " and ".join(map(repr, twins))
+            raise ValueError(f"{kind}s has {told}, which are the same beads: give one of them")
+    if kind == "bond" and (isinstance(terms, Mapping) or not several(terms, "bonds")):
+        _refuse_unbonded(there, named)
+    if not there:
+        return ()
+    return {kind if n == OTHERS else n: t for n, t in named.items()} if named else terms
+
+
+def _alike(name: str) -> tuple[str, ...]:
+    """The species in the name of a type, the same whichever way round it is read."""
+    return min(spelt(name), spelt(name)[::-1]) if name != OTHERS else (OTHERS,)
+
+
+def _refuse_unbonded(there, named):
+    """Raise ValueError where beads that follow one another in a word would have no bond."""
+    lacks = {
+        "".join(min(names, names[::-1]))
+        for names in there
+        if type_of(names, dict.fromkeys(named, ())) is None
+    }
+    if lacks:
+        raise ValueError(
+            f"bonds has none for {', '.join(sorted(lacks))}, and the molecules would fall apart "
+            'there; give it, or "*" for all others'
+        )
 
 
 def _names(made: Architecture, size: int) -> list[tuple[str, ...]]:
@@ -387,7 +441,7 @@ class _Order:
 
 
 def _type_name(types: list[Bonded], names) -> str | None:
-    """The type of one bond between these species: the only one there is, or the one so named."""
-    if len(types) == 1 and types[0].name == types[0].kind:
-        return types[0].name
-    return type_of(names, {b.name: () for b in types})
+    """The type of one bond between these species: the one so named, or that of all others, which
+    is called by its kind."""
+    others = next((b.name for b in types if b.name == b.kind), None)
+    return type_of(names, {b.name: () for b in types}) or others

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
+from dpdjax.bonded.coordinates import cosine, dihedral_cosine
 from dpdjax.bonded.forces import bonded_force, bonded_laplacian, measured
 from dpdjax.pairs.box import Box
 
@@ -132,3 +133,14 @@ def test_pair_potentials_end_in_bonds_as_elsewhere():
     r, energy, slope = measured(soft, state, soft.bonded[0])
     np.testing.assert_allclose(energy, np.where(r < 1, 12.5 * (1 - r) ** 2, 0.0), atol=1e-4)
     np.testing.assert_allclose(slope, np.where(r < 1, -25.0 * (1 - r), 0.0), atol=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-10, 1e-9, 1e9, 1e12])
+@pytest.mark.parametrize("coordinate, beads", [(cosine, 3), (dihedral_cosine, 4)])
+def test_angles_know_no_unit(coordinate, beads, unit):
+    """In single precision too, whose range the squares of products of small lengths leave."""
+    v = np.random.default_rng(0).normal(size=(3, beads - 1, 5)).astype(np.float32)
+    value = lambda v: (coordinate(v), jax.grad(lambda v: jnp.sum(coordinate(v)))(v))
+    (q, slope), (scaled, small) = value(jnp.asarray(v)), value(jnp.asarray(np.float32(unit) * v))
+    np.testing.assert_allclose(scaled, q, atol=1e-5)
+    np.testing.assert_allclose(small * np.float32(unit), slope, rtol=1e-4, atol=1e-5)

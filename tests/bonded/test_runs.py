@@ -10,6 +10,8 @@ import pytest
 
 import dpdjax as dpd
 from dpdjax.engine import status as bits
+from dpdjax.model import advice
+from dpdjax.model.rates import extreme, thermal_length
 
 KEY = jax.random.key(3)
 PLAN = dpd.Plan(4, 5)
@@ -63,8 +65,17 @@ def test_order_of_the_beads_is_bitwise(fluid, monkeypatch):
 
 def test_members_of_a_batch_are_as_alone(fluid, start):
     keys = jnp.stack([KEY, KEY])
-    batch = dpd.run(fluid.set(k=jnp.array([20.0, 40.0])), start, keys, 0.005, PLAN, progress=False)
-    alone = dpd.run(fluid.set(k=20.0), start, keys[:1], 0.005, PLAN, progress=False)
+    batch = dpd.run(
+        fluid.set(k=jnp.array([20.0, 40.0]), between="strong"),
+        start,
+        keys,
+        0.005,
+        PLAN,
+        progress=False,
+    )
+    alone = dpd.run(
+        fluid.set(k=20.0, between="strong"), start, keys[:1], 0.005, PLAN, progress=False
+    )
     same(batch.final.position[0], alone.final.position[0])
     assert np.any(np.asarray(batch.final.position[1]) != np.asarray(batch.final.position[0]))
 
@@ -74,7 +85,7 @@ def test_gradient_with_k_is_that_of_differences():
     start = chains.state(fluid, box=(4.0, 4.0, 4.0))
 
     def energy(k):
-        made = dpd.simulate(fluid.set(k=k), start, KEY, 0.005, dpd.Plan(1, 10))
+        made = dpd.simulate(fluid.set(k=k, between="strong"), start, KEY, 0.005, dpd.Plan(1, 10))
         return made.frames["potential_energy"][-1]
 
     _, forward = jax.jvp(energy, (20.0,), (1.0,))
@@ -107,6 +118,8 @@ def test_what_cannot_run_is_refused(fluid, start):
         run(fluid, start.bonded(rows | {"bend": rows["strong"]}))
     with pytest.raises(ValueError, match="one bead twice"):
         start.bonded({"strong": np.array([[3, 3]])})
+    with pytest.raises(ValueError, match=r"'strong' 2 is \[4, 3\], which is there before"):
+        start.bonded({"strong": np.array([[3, 4], [4, 5], [4, 3]])})
     with pytest.raises(ValueError, match="names beads 0 to 999999; the state has 0 to"):
         start.bonded({"strong": np.array([[0, 999999]])})
     short = dpd.fluid(
@@ -158,5 +171,82 @@ def test_laws_of_bonds_are_checked():
             kT=1.0,
             bonds=dpd.term(dpd.central_drag, gamma=1.0, r_c=1.0),
         )
+    pairs = [dpd.term(dpd.soft_repulsion, a=1.0, r_c=1.0)]
+    with pytest.raises(ValueError, match="cosine_angle is a law of angles and dihedrals, and was"):
+        dpd.fluid(pairs, kT=1.0, bonds=dpd.term(dpd.laws.cosine_angle, k=1.0))
+    with pytest.raises(ValueError, match="harmonic_bond is a law of bonds, .* of an angle"):
+        dpd.fluid(pairs, kT=1.0, angles=dpd.term(dpd.laws.harmonic_bond, k=1.0))
+    with pytest.raises(ValueError, match="soft_repulsion is a law of bonds, .* of a dihedral"):
+        dpd.fluid(pairs, kT=1.0, dihedrals=pairs)
+    assert dpd.fluid(pairs, kT=1.0, bonds=None).bonded == ()
     with pytest.raises(ValueError, match="k must|k is"):
         dpd.term(dpd.laws.harmonic_bond, k=-1.0)
+
+
+def test_a_state_of_a_fluid_without_bonds_can_be_given_some():
+    """After a run too: it makes room for their stresses."""
+    plain = dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+        [dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
+    )
+    rest = run(plain, dpd.initial_state(plain, KEY, box=5.0, density=3.0)).final
+    idx = np.asarray(rest.neighbours[0].list.idx)[:, :40]
+    pairs = np.asarray(rest.id)[idx].T
+    stiff = dpd.fluid(
+        plain.interactions[0].conservative,
+        plain.interactions[0].drag,
+        kT=1.0,
+        bonds=dpd.term(dpd.laws.harmonic_bond, k=20.0, r0=0.5),
+    )
+    tied = run(stiff, rest.bonded({"bond": pairs}), observe=dpd.observe.stresses)
+    assert np.any(tied.frames["pressure_bond"])
+
+
+def test_numbers_of_several_kinds_are_set_by_type():
+    same = dpd.fluid(
+        species=2,
+        drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
+        bonds=dpd.term(dpd.laws.harmonic_bond, k=100.0),
+        angles=dpd.term(dpd.laws.cosine_angle, k=15.0),
+    )
+    with pytest.raises(ValueError, match="k is a number of bonds and angles: say which is meant"):
+        same.set(k=64.0)
+    with pytest.raises(ValueError, match="k of the bond 'bond' is a table of species"):
+        same.set(k=jnp.ones((2, 2)), between="bond")
+    with pytest.raises(ValueError, match="theta0 is 120.0; it is in radians"):
+        dpd.term(dpd.laws.cosine_angle, k=1.0, theta0=120.0)
+
+
+@pytest.mark.parametrize("depth", [5.0, 20.0, 100.0])
+def test_a_bond_that_can_break_is_as_long_as_while_it_holds(depth):
+    """Its time step and its start follow from the well, not from what is beyond."""
+
+    def morse(r, *, D):
+        return D * (1 - jnp.exp(-4.0 * (r - 0.5))) ** 2
+
+    made = dpd.fluid(
+        drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+        kT=1.0,
+        bonds=dpd.term(morse, D=depth),
+    )
+    assert 0.45 < thermal_length(extreme(made), made.bonded[0]) < 1.1
+
+
+def test_the_stiffest_of_bonds_angles_and_dihedrals_sets_the_step():
+    def allowed(**how):
+        """The dt at which bonds err by half a per cent."""
+        made = dpd.fluid(
+            drag=[dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)],
+            kT=1.0,
+            bonds=dpd.term(dpd.laws.harmonic_bond, k=100.0, r0=0.5),
+            **how,
+        )
+        return dict(advice.dt_errors(made, 3.0))[advice.LENGTH]
+
+    bend = lambda k: allowed(angles=dpd.term(dpd.laws.cosine_angle, k=k))
+    twist = lambda k: allowed(dihedrals=dpd.term(dpd.laws.cosine_dihedral, k=k, n=3))
+    assert bend(200.0) < bend(2.0) == allowed() == twist(0.0) > twist(200.0)
+    # (w dt)^2 / 4 is .005: two beads of mass 1 on k 100.
+    np.testing.assert_allclose(allowed(), (4 * 0.005 / 200) ** 0.5, rtol=0.01)

@@ -29,6 +29,11 @@ def test_memory_is_that_of_the_longest_molecule(melt):
     np.testing.assert_allclose(memory(melt), wanted, rtol=0.01)
 
 
+def test_what_has_no_bond_remembers_nothing(melt):
+    none = {"bond": np.zeros((0, 2), int)}
+    assert experiment.chain_memory(melt.fluid, melt.state.bonded(none)) == 0.0
+
+
 def test_boxes_of_a_state_become_strangers(melt):
     """And blocks last as long as chains remember."""
     goal = custom_goal(1.0, dpd.observe.temperature)

@@ -10,6 +10,9 @@ from dpdjax.engine.observables import temperature
 from dpdjax.prepare.architecture import architecture
 
 KEY = jax.random.key(5)
+SPRING = dpd.term(dpd.laws.harmonic_bond, k=4.0)
+LONG = dpd.term(dpd.laws.harmonic_bond, k=100.0, r0=3.0)
+FENE = dpd.term(dpd.laws.fene_bond, k=30.0, r_max=1.5)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +93,12 @@ def test_bonds_join_the_species_they_are_named_for(mixed):
     }
     beads = mixed.state.topology.beads
     assert named(beads["HT"]) == {"HT"}
-    assert named(beads["*"]) == {"HH", "TT", "RR"}
+    assert named(beads["bond"]) == {"HH", "TT", "RR"}
     assert named(beads["HTT"]) == {"HTT"}
     lipids, rings = len(mixed.ids["H2(T2)2"]), len(mixed.ids["cyclo-R4"])
     assert mixed.state.topology.counts == {
         "HT": 2 * lipids,
-        "*": 3 * lipids + 4 * rings,
+        "bond": 3 * lipids + 4 * rings,
         "HTT": 2 * lipids,
     }
 
@@ -163,6 +166,19 @@ def test_lamellae_fill_the_box():
         ({"A2": 1.0}, {"arrangement": "bilayers"}, "arrangement is"),
         ({"A2": 1.0}, {"arrangement": {"B": "bilayer"}}, "arrangement names 'B'"),
         ({"A2B": 1.0}, {"mass": {"A": 1.0}}, "mass names A"),
+        ({"A2B2": 1.0}, {"bonds": {"AA": SPRING, "BB": SPRING}}, "bonds has none for AB"),
+        ({"A2": 1.0}, {"bonds": ()}, "bonds has none for AA"),
+        ({"AB": 1.0}, {"bonds": {"AB": SPRING, "B-A": SPRING}}, "'AB' and 'B-A', which are the"),
+        ({"NaCl": 1.0}, {"a": {"*": 25, "NaCl": 30, "ClNa": 50}}, "two numbers for 'NaCl'"),
+        ({"A900": 0.1, "W": 0.9}, {}, "no whole molecule of 900 beads"),
+        ({"A2": 1.0}, {"bonds": LONG}, "bonds start 3.01 long, more than half of a side"),
+        ({"A2": 1.0}, {"kT": 0.0}, "kT is 0.0; it must be above zero; or give a="),
+        ({"A2": 1.0}, {"kT": 0.0, "a": 25.0}, "bonds follow it, or give bonds="),
+        (
+            {"A2B2": 1.0},
+            {"bonds": FENE, "arrangement": "lamella", "box": [4.0, 4.0, 20.0]},
+            "is 2.5 long, where its energy is inf",
+        ),
     ],
 )
 def test_what_cannot_be_made_is_told(amounts, how, told):
@@ -173,3 +189,9 @@ def test_what_cannot_be_made_is_told(amounts, how, told):
 def test_it_prints_what_it_made(mixed):
     assert "375 beads in 5 x 5 x 5: 19 of H2(T2)2" in str(mixed)
     assert "of cyclo-R4" in str(mixed) and "angle HTT  cosine_angle, k 5" in str(mixed)
+
+
+def test_repulsion_and_springs_follow_the_units():
+    made = of("A3", box=8.0, kT=0.5, r_c=2.0, gamma=9.0)
+    assert made.fluid.value("a") == 25.0 * 0.5 / 2.0
+    assert made.fluid.value("k") == 4.0 * 0.5 / 2.0**2
