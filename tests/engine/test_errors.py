@@ -74,7 +74,7 @@ def test_missing_coefficient_and_missing_reach():
     with refused(TypeError, "soft_repulsion lacks a", "a=..."):
         dpd.term(dpd.soft_repulsion, r_c=1.0)
     with refused(ValueError, "spring", "reach=..."):
-        dpd.term(spring, k=1.0)
+        dpd.fluid([dpd.term(spring, k=1.0)], kT=1.0)
 
 
 def spring(h, *, k):

@@ -226,7 +226,8 @@ def test_strong_drag_allows_the_step_of_the_potentials(water, ideal):
         assert held == pytest.approx(math.sqrt(0.005 / 0.007), rel=1e-5)
     assert suggested(ideal, 5.0) == pytest.approx(math.sqrt(0.005 / 4), rel=1e-5)
     assert [name for name, dt in IMPLICIT.dt_errors(ideal, 3.0) if dt == math.inf] == [
-        "configurational temperature of a stiff repulsion"
+        "configurational temperature of a stiff repulsion",
+        "length of bonds",
     ]
 
 

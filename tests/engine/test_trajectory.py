@@ -62,7 +62,7 @@ def test_a_frame_of_pandas_has_the_numbers(first, batch):
     np.testing.assert_array_equal(table.pressure_tensor_zx, stress[:, 2, 0])
     np.testing.assert_array_equal(table.index, first.frames["time"])
     scalars = {"step", "strain", "temperature", "potential_energy"}
-    assert len(table.columns) == len(scalars) + 9 + 3 and scalars < set(table.columns)
+    assert len(table.columns) == len(scalars) + 9 + 3 + 3 and scalars < set(table.columns)
     many = batch.to_pandas()
     assert many.index.names == ["member", "time"] and len(many) == 12
     np.testing.assert_array_equal(many.loc[1].temperature, batch.frames["temperature"][1])

@@ -139,9 +139,14 @@ def test_beads_without_bonds_are_no_molecules(fresh):
 
 
 def test_members_have_the_same_bonds(run):
-    other = dataclasses.replace(run, final=run.final.bonded({"spring": np.array([[0, 1]] * 220)}))
+    other = dataclasses.replace(run, final=run.final.bonded({"spring": _others(220)}))
     with pytest.raises(ValueError, match="differ in their bonds; measure them one by one"):
         dpd.measure.molecules_of(gaussian.joined([run, other]))
+
+
+def _others(count: int):
+    """As many bonds, between other beads."""
+    return np.stack([np.arange(count), np.arange(count) + 2], axis=1)
 
 
 def test_molecules_are_in_one_piece(path, shuffled, monkeypatch):
