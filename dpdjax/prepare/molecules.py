@@ -16,17 +16,17 @@ from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.refusals import check_bonds
 from dpdjax.engine.state import State
 from dpdjax.model import bonded_laws, laws
-from dpdjax.model.bonded import BEADS, Bonded, Terms
+from dpdjax.model.bonded import Terms
 from dpdjax.model.fluid import Fluid, fluid
 from dpdjax.model.rates import extreme, thermal_length
 from dpdjax.model.summary import as_table
-from dpdjax.model.term import several, term
+from dpdjax.model.term import term
 from dpdjax.pairs import box as boxes
 from dpdjax.pairs.noise import Domain
 from dpdjax.prepare import layout
-from dpdjax.prepare.architecture import OTHERS, Architecture, architecture, spelt, type_of
+from dpdjax.prepare.mixture import Order, counted, letters_of, of_letters, of_types, table
 from dpdjax.prepare.push_off import pushed_off
-from dpdjax.prepare.start import beads_in, placed, plan_lists
+from dpdjax.prepare.start import placed, plan_lists
 
 ARRANGEMENTS = ("random", "bilayer", "lamella")
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -140,21 +140,21 @@ def molecules(
     key = prng_key(key)
     lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
     r_c = plain(r_c, "r_c", positive)
-    kinds, counts = _counted(amounts, lengths, density, r_c)
-    letters = {letter: k for k, letter in enumerate(_letters(kinds))}
+    kinds, counts = counted(amounts, lengths, density, r_c)
+    letters = {letter: k for k, letter in enumerate(letters_of(kinds))}
     a = 25.0 * positive(kT, "kT", "or give a=") / r_c if a is None else a
     given = {"bond": _springs(kT, r_c) if bonds is None else bonds}
     given |= {"angle": angles, "dihedral": dihedrals}
-    given = {kind: _of_types(kind, terms, kinds) for kind, terms in given.items()}
+    given = {kind: of_types(kind, terms, kinds) for kind, terms in given.items()}
     made = fluid(
-        [term(laws.soft_repulsion, a=_table(a, letters, "a"), r_c=r_c)],
-        [term(laws.central_drag, gamma=_table(gamma, letters, "gamma"), r_c=r_c)],
+        [term(laws.soft_repulsion, a=table(a, letters, "a"), r_c=r_c)],
+        [term(laws.central_drag, gamma=table(gamma, letters, "gamma"), r_c=r_c)],
         kT=kT,
-        mass=_of_letters(mass, letters),
+        mass=of_letters(mass, letters),
         species=len(letters),
         **{f"{kind}s": terms for kind, terms in given.items()},
     )
-    order = _Order.of(kinds, counts, letters)
+    order = Order.of(kinds, counts, letters)
     density = sum(order.counts) / float(np.prod(lengths))
     _warn_of_short_sides(made, lengths)
     integrator, dt = suited(made, density, integrator=integrator, dt=dt)
@@ -204,140 +204,6 @@ def _springs(kT, r_c):
     """The bonds of Groot & Warren (1997): springs of 4 kT/r_c^2 and no length."""
     kT = positive(kT, "kT", "bonds follow it, or give bonds=")
     return term(bonded_laws.harmonic_bond, k=4.0 * np.asarray(kT, float) / r_c**2)
-
-
-def _counted(amounts, lengths, density, r_c) -> tuple[list[Architecture], list[int]]:
-    """The molecules and how many there are of each."""
-    amounts = {amounts: 1.0} if isinstance(amounts, str) else amounts
-    if not isinstance(amounts, Mapping) or not amounts:
-        raise TypeError(f'amounts are {amounts!r}; give {{"A5B5": 0.2, "W": 0.8}}')
-    kinds, given = [architecture(word) for word in amounts], list(amounts.values())
-    if all(isinstance(x, int | np.integer) and not isinstance(x, bool) for x in given):
-        if density is not None:
-            raise ValueError("numbers of molecules and a box make a density: leave out density=")
-        return kinds, [whole(x, word, least=0) for word, x in amounts.items()]
-    shares = np.array([plain(x, word) for word, x in amounts.items()])
-    if np.any(shares < 0) or not np.isclose(shares.sum(), 1):
-        raise ValueError(
-            f"the shares {shares.tolist()} add up to {shares.sum():g}; give shares of all beads "
-            "that add up to 1, or whole numbers of molecules"
-        )
-    beads = beads_in(lengths, 3.0 / r_c**3 if density is None else density)
-    counts = _nearest(shares * beads, [kind.n for kind in kinds])
-    for kind, share, count in zip(kinds, shares, counts):
-        if share > 0 and not count:
-            raise ValueError(
-                f"{kind.word!r} has a share of {share:g}, and in this box that is no whole "
-                f"molecule of {kind.n} beads: give a larger box or share, or numbers of molecules"
-            )
-    return kinds, counts
-
-
-def _nearest(beads, sizes) -> list[int]:
-    """Numbers of molecules whose beads add up as nearly as they can: the smallest molecules make
-    up for what the others are rounded by."""
-    counts = [round(b / n) for b, n in zip(beads, sizes)]
-    least = int(np.argmin(sizes))
-    lacks = sum(beads) - sum(c * n for c, n in zip(counts, sizes))
-    counts[least] = max(0, counts[least] + round(lacks / sizes[least]))
-    return counts
-
-
-def _letters(kinds) -> list[str]:
-    """The species of all molecules, as they come."""
-    return list(dict.fromkeys(letter for kind in kinds for letter in kind.beads))
-
-
-def _table(value, letters: dict[str, int], name: str):
-    """A number, or a table (species, species) from numbers by pairs of species."""
-    if not isinstance(value, Mapping):
-        return value
-    table = np.full((len(letters),) * 2, np.nan)
-    table[:] = value.get(OTHERS, np.nan)
-    for pair, number in value.items():
-        if pair == OTHERS:
-            continue
-        names = spelt(pair)
-        if len(names) != 2 or not set(names) <= set(letters):
-            raise ValueError(
-                f"{name} has {pair!r}, which is no pair of {', '.join(letters)}; give "
-                f'{name}={{"AA": ..., "AB": ...}}'
-            )
-        i, j = (letters[letter] for letter in names)
-        for other in value:
-            if _alike(other) == _alike(pair) and value[other] != number:
-                raise ValueError(f"{name} has two numbers for {pair!r} and {other!r}")
-        table[i, j] = table[j, i] = number
-    lacks = [
-        f"{a}{b}"
-        for a, i in letters.items()
-        for b, j in letters.items()
-        if i <= j and np.isnan(table[i, j])
-    ]
-    if lacks:
-        raise ValueError(
-            f'{name} has no number for {", ".join(lacks)}; give it, or "*" for all others'
-        )
-    return table
-
-
-def _of_letters(value, letters):
-    """A number, or one for each species from numbers by letters."""
-    if not isinstance(value, Mapping):
-        return value
-    unknown = sorted(set(value) - set(letters) - {OTHERS})
-    lacks = [letter for letter in letters if letter not in value and OTHERS not in value]
-    if unknown or lacks:
-        raise ValueError(
-            f"mass names {', '.join(value)}, and the species are {', '.join(letters)}: give one "
-            'for each, or "*" for all others'
-        )
-    return np.array([value.get(letter, value.get(OTHERS)) for letter in letters], float)
-
-
-def _of_types(kind: str, terms: Terms, kinds) -> Terms:
-    """The types of bonds that some molecule has; ValueError for a name that fits none."""
-    named = terms if isinstance(terms, Mapping) else {}
-    there = {names for made in kinds for names in _names(made, BEADS[kind])}
-    for name in named:
-        fits = any(type_of(names, {name: ()}) for names in there)
-        if not fits:
-            told = ", ".join(sorted("".join(names) for names in there)) or "none"
-            raise ValueError(f"{kind}s has {name!r}, and the molecules have {told}")
-    for name in named:
-        twins = [other for other in named if _alike(other) == _alike(name)]
-        if len(twins) > 1:
-            told = " and ".join(map(repr, twins))
-            raise ValueError(f"{kind}s has {told}, which are the same beads: give one of them")
-    if kind == "bond" and (isinstance(terms, Mapping) or not several(terms, "bonds")):
-        _refuse_unbonded(there, named)
-    if not there:
-        return ()
-    return {kind if n == OTHERS else n: t for n, t in named.items()} if named else terms
-
-
-def _alike(name: str) -> tuple[str, ...]:
-    """The species in the name of a type, the same whichever way round it is read."""
-    return min(spelt(name), spelt(name)[::-1]) if name != OTHERS else (OTHERS,)
-
-
-def _refuse_unbonded(there, named):
-    """Raise ValueError where beads that follow one another in a word would have no bond."""
-    lacks = {
-        "".join(min(names, names[::-1]))
-        for names in there
-        if type_of(names, dict.fromkeys(named, ())) is None
-    }
-    if lacks:
-        raise ValueError(
-            f"bonds has none for {', '.join(sorted(lacks))}, and the molecules would fall apart "
-            'there; give it, or "*" for all others'
-        )
-
-
-def _names(made: Architecture, size: int) -> list[tuple[str, ...]]:
-    """The species of all bonds, angles or dihedrals of a molecule."""
-    return [tuple(made.beads[k] for k in row) for row in made.runs(size)]
 
 
 def _arrangements(given, kinds) -> list[str]:
@@ -393,55 +259,3 @@ def _step(made: Fluid) -> float:
     numbers = extreme(made)
     each = [thermal_length(numbers, b) for b in numbers.bonded if b.kind == "bond"]
     return min(each, default=1.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Order:
-    """Which bead is which: molecule after molecule as they are laid out, species after species in
-    the state.
-
-    Attributes:
-        counts: beads of each species.
-        by_species: of each id its place among the beads of the molecules in turn (n,).
-        ids: of each molecule, by word, the ids of its beads (molecules, beads).
-    """
-
-    counts: list[int]
-    by_species: np.ndarray
-    ids: dict[str, np.ndarray]
-
-    @classmethod
-    def of(cls, kinds, counts, letters) -> "_Order":
-        each = [np.tile([letters[x] for x in kind.beads], c) for kind, c in zip(kinds, counts)]
-        species = np.concatenate(each).astype(int)
-        if not len(species):
-            raise ValueError("there is no molecule at all; give more, or a larger box")
-        order = np.argsort(species, kind="stable")
-        place = np.empty_like(order)
-        place[order] = np.arange(len(order))
-        edges = np.cumsum([0, *(kind.n * c for kind, c in zip(kinds, counts))])
-        ids = {
-            kind.word: place[begin:end].reshape(-1, kind.n)
-            for kind, begin, end in zip(kinds, edges, edges[1:])
-        }
-        return cls(np.bincount(species, minlength=len(letters)).tolist(), order, ids)
-
-    def groups(self, made: Fluid, kinds) -> dict[str, np.ndarray]:
-        """Of each type of bond in the fluid the ids of its beads."""
-        found = {b.name: [np.zeros((0, BEADS[b.kind]), int)] for b in made.bonded}
-        for kind in BEADS:
-            types = [b for b in made.bonded if b.kind == kind]
-            for molecule in kinds:
-                runs = molecule.runs(BEADS[kind])
-                named = [_type_name(types, names) for names in _names(molecule, BEADS[kind])]
-                for name in dict.fromkeys(n for n in named if n is not None):
-                    rows = runs[[n == name for n in named]]
-                    found[name].append(self.ids[molecule.word][:, rows].reshape(-1, BEADS[kind]))
-        return {name: np.concatenate(rows) for name, rows in found.items()}
-
-
-def _type_name(types: list[Bonded], names) -> str | None:
-    """The type of one bond between these species: the one so named, or that of all others, which
-    is called by its kind."""
-    others = next((b.name for b in types if b.name == b.kind), None)
-    return type_of(names, {b.name: () for b in types}) or others
