@@ -7,6 +7,8 @@ which the engine differentiates; by cosines alone, whose slope is finite in a st
 import jax
 import jax.numpy as jnp
 
+from dpdjax.pairs.geometry import cross
+
 
 def distance(v):
     """The length of a bond (count,); its slope is 0 where it has no direction."""
@@ -24,7 +26,7 @@ def dihedral_cosine(v):
     """``cos(phi)`` between the planes of four beads in a chain (count,), -1 in trans."""
     # Of unit vectors: squares of products of lengths leave the range of float32 in small units.
     a, b, c = (v[:, k] * _inverse(v[:, k])[None] for k in range(3))
-    first, second = _cross(a, b), _cross(b, c)
+    first, second = jnp.stack(cross(a, b)), jnp.stack(cross(b, c))
     return jnp.sum(first * second, axis=0) * _inverse(first) * _inverse(second)
 
 
@@ -37,9 +39,3 @@ def _inverse(v):
     square = jnp.sum(v * v, axis=0)
     is_zero = square == 0
     return jnp.where(is_zero, 0.0, jax.lax.rsqrt(jnp.where(is_zero, 1.0, square)))
-
-
-def _cross(a, b):
-    return jnp.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )

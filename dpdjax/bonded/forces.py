@@ -5,10 +5,9 @@ import jax
 import jax.numpy as jnp
 
 from dpdjax.bonded.coordinates import COORDINATES
-from dpdjax.bonded.topology import vectors
+from dpdjax.bonded.topology import each_type
 from dpdjax.model.bonded import Bonded
 from dpdjax.model.fluid import Fluid
-from dpdjax.pairs import cells
 from dpdjax.pairs.sums import Forces, Tally, onto_beads
 
 HIGHEST = jax.lax.Precision.HIGHEST
@@ -21,11 +20,8 @@ def bonded_force(fluid: Fluid, state, tally: bool = False) -> Forces:
         raise ValueError("the fluid has bonds and the state has none: state.bonded({name: ids})")
     n, dtype = state.position.shape[0], state.position.dtype
     total = Tally.zero(dtype, fluid.origins) if tally else None
-    slot, position = cells.inverse(state.id), tuple(state.position[:, k] for k in range(3))
     rows, pulls = [], []
-    for b in fluid.bonded:
-        slots = slot[state.topology.beads[b.name].T]
-        v = vectors(state.box, position, slots)
+    for b, slots, v in each_type(fluid.bonded, state):
         energy, pull = along(b, v, fluid.kT)
         rows.append(slots.ravel())
         pulls.append(on_each(sum(pull.values())).reshape(3, -1))
@@ -40,10 +36,8 @@ def bonded_force(fluid: Fluid, state, tally: bool = False) -> Forces:
 
 def bonded_laplacian(fluid: Fluid, state):
     """The sum over beads of the Laplacian of the energy of bonds, angles and dihedrals."""
-    slot, position = cells.inverse(state.id), tuple(state.position[:, k] for k in range(3))
     total = jnp.zeros((), state.position.dtype)
-    for b in fluid.bonded:
-        v = vectors(state.box, position, slot[state.topology.beads[b.name].T])
+    for b, _, v in each_type(fluid.bonded, state):
         total += jnp.sum(jax.vmap(lambda one, b=b: _laplacian(b, one, fluid.kT), -1)(v))
     return total
 
@@ -63,8 +57,7 @@ def _laplacian(b: Bonded, v, kT):
 def measured(fluid: Fluid, state, b: Bonded):
     """Of each bond, angle or dihedral of one type its coordinate, its energy, and the slope of
     that (count,)."""
-    slots = cells.inverse(state.id)[state.topology.beads[b.name].T]
-    v = vectors(state.box, tuple(state.position[:, k] for k in range(3)), slots)
+    ((_, _, v),) = each_type((b,), state)
     q = COORDINATES[b.kind](v)
     return q, *evaluate(b.terms, q, fluid.kT)
 

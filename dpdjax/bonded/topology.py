@@ -85,6 +85,14 @@ def vectors(box, position: tuple, slots):
     return jnp.stack(boxes.minimum_image(box, *ahead))
 
 
+def each_type(types, state):
+    """Each of these types of bonds with the slots of its beads (beads, count), and its vectors."""
+    slot, position = cells.inverse(state.id), tuple(state.position[:, k] for k in range(3))
+    for b in types:
+        slots = slot[state.topology.beads[b.name].T]
+        yield b, slots, vectors(state.box, position, slots)
+
+
 def is_torn(topology: Topology, box, position, image, ids):
     """Whether a bond has become longer than half a box, so that its nearest image is another."""
     slot = cells.inverse(ids)

@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dpdjax.bonded.forces import along
-from dpdjax.bonded.topology import vectors
+from dpdjax.bonded.topology import each_type
 from dpdjax.checks import choice, whole
 from dpdjax.engine.state import State
 from dpdjax.model.beads import masses
 from dpdjax.model.fluid import Fluid
-from dpdjax.pairs import cells
 from dpdjax.pairs.forces import interactions_of
 from dpdjax.pairs.geometry import Columns, Moment, geometry, take
 from dpdjax.pairs.laws import evaluate
@@ -131,13 +130,10 @@ def _add_pairs(fluid, interaction, beads: Columns, moment: Moment, slabs: _Slabs
 
 def _of_bonds(fluid, state, slabs: _Slabs):
     """That of bonds, angles and dihedrals."""
-    slot, position = cells.inverse(state.id), tuple(state.position[:, k] for k in range(3))
     total, normal = jnp.zeros((3, slabs.bins), state.position.dtype), slabs.components[0]
-    for b in fluid.bonded:
-        slots = slot[state.topology.beads[b.name].T]
-        v = vectors(state.box, position, slots)
+    for b, slots, v in each_type(fluid.bonded, state):
         pull = sum(along(b, v, fluid.kT)[1].values())
-        end = take(position[normal], slots[1:])
+        end = take(state.position[:, normal], slots[1:])
         rows = lambda x: x.reshape(*x.shape[:-2], -1)
         total = total + slabs.spread(rows(end), rows(v[normal]), rows(pull * v))
     return total
