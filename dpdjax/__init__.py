@@ -3,59 +3,20 @@
 ``import dpdjax as dpd`` is quick: every public name is imported when it is first used.
 """
 
+import ast
 import difflib
 import importlib
 import importlib.util
+from pathlib import Path
 
-_HOMES = {
-    "dpdjax.model.laws": ["soft_repulsion", "central_drag"],
-    "dpdjax.model.term": ["term", "whole"],
-    "dpdjax.model.fluid": ["Fluid", "fluid", "interaction"],
-    "dpdjax.model.colloids": ["colloid_fluid", "pure_solvent"],
-    "dpdjax.model.marbles": ["marble_fluid"],
-    "dpdjax.model.units": ["water", "water_units"],
-    "dpdjax.model.advice": ["suggest_dt"],
-    "dpdjax.pairs.box": ["Box"],
-    "dpdjax.engine.deformation": ["oscillatory_shear", "shear"],
-    "dpdjax.engine.drivers": ["drive"],
-    "dpdjax.engine.state": ["State", "grow"],
-    "dpdjax.engine.record": ["integral", "mean"],
-    "dpdjax.engine.trajectory": ["Plan", "Trajectory"],
-    "dpdjax.engine.simulate": ["forces", "simulate", "step"],
-    "dpdjax.prepare.start": ["initial_state"],
-    "dpdjax.prepare.suspension": ["suspension"],
-    "dpdjax.prepare.marbles": ["marbles"],
-    "dpdjax.prepare.molecules": ["molecules"],
-    "dpdjax.measure.statistics": ["Estimate"],
-    "dpdjax.measure.transport": ["diffusion"],
-    "dpdjax.measure.viscosity": ["shear_viscosity"],
-    "dpdjax.calibration.calibrate": ["calibrate", "measure_viscosity"],
-    "dpdjax.calibration.relative": ["relative_viscosity"],
-    "dpdjax.host.bench": ["bench"],
-    "dpdjax.host.compilation": ["compilation_cache"],
-    "dpdjax.host.run": ["run"],
-    "dpdjax.host.stream": ["stream"],
-    "dpdjax.errors": [
-        "ConfigError",
-        "DPDError",
-        "FileError",
-        "RunError",
-        "Stopped",
-        "TargetError",
-    ],
-    "dpdjax.files.checkpoint": ["Checkpoint"],
-    "dpdjax.files.gsd": ["GSD", "gsd_writer", "write_gsd"],
-    "dpdjax.files.lammps": ["load_lammps"],
-    "dpdjax.files.loading": ["load_gsd"],
-    "dpdjax.files.states": ["load_state", "save_state"],
-    "dpdjax.host.plot": ["plot_box", "plot_flow_curve", "plot_profile", "plot_run"],
-    "dpdjax.inference.fit": ["fit"],
-    "dpdjax.scans.drive": ["Run"],
-    "dpdjax.scans.picture": ["plot_scan"],
-    "dpdjax.scans.scan": ["scan"],
-    "dpdjax.scans.table": ["load_scan", "merge_scans", "scan_points"],
+_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
+_HOME_OF = {
+    name.asname: node.module
+    for node in _STUB.body
+    if isinstance(node, ast.ImportFrom) and node.module != __name__
+    for name in node.names
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+"""Where each public name is, as the stub beside this file tells type checkers."""
 __all__ = sorted(_HOME_OF)
 NAMESPACES = ("laws", "flows", "integrators", "observe", "measure", "theory", "experiments")
 """Modules of the package with what else there is."""
@@ -81,7 +42,7 @@ _ELSEWHERE = {
     "read_data": "load_lammps",
 }
 """What it is called in other programs, and here."""
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def __getattr__(name):

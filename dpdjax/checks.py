@@ -2,10 +2,15 @@
 
 import json
 import os
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+
+Numbers = ArrayLike | Sequence
+"""What becomes an array of numbers: also a list of them, and a list of lists."""
 
 
 def is_concrete(*values) -> bool:

@@ -3,11 +3,25 @@ TypeError name the one."""
 
 
 class DPDError(Exception):
-    """Any error of this package that is no argument's."""
+    """Any error of this package that is no argument's.
+
+    Example:
+        >>> issubclass(dpd.RunError, dpd.DPDError) and issubclass(dpd.FileError, dpd.DPDError)
+        True
+    """
 
 
 class RunError(DPDError, RuntimeError):
-    """A run that could not go on; ``trajectory`` holds all that was computed before."""
+    """A run that could not go on; ``trajectory`` holds all that was computed before, or is None.
+
+    Example:
+        >>> plan, torn = dpd.Plan(40, 5), dpd.shear(1000.0)
+        >>> try:
+        ...     dpd.run(water, state, key, 0.01, plan, torn, observe=seen, **quiet)
+        ... except dpd.RunError as error:
+        ...     print(str(error)[:34], error.trajectory.complete)
+        stopped between steps 200 and 400: False
+    """
 
     def __init__(self, message, trajectory=None):
         super().__init__(message)
@@ -15,7 +29,15 @@ class RunError(DPDError, RuntimeError):
 
 
 class TargetError(DPDError, ValueError):
-    """A target no parameter reaches; ``history`` holds what was measured."""
+    """A target no parameter reaches; ``history`` holds what was measured, a point each.
+
+    Example:
+        >>> try:
+        ...     raise dpd.TargetError("viscosity 0.01 cannot be reached with gamma", history=())
+        ... except ValueError as error:
+        ...     print(error, len(error.history))
+        viscosity 0.01 cannot be reached with gamma 0
+    """
 
     def __init__(self, message, history):
         super().__init__(message)
@@ -23,17 +45,39 @@ class TargetError(DPDError, ValueError):
 
 
 class FileError(DPDError, OSError):
-    """A file that is damaged, held by another process, of another run, or cannot be written."""
+    """A file that is damaged, held by another process, of another run, or cannot be written.
+
+    Example:
+        >>> with open("notes.nc", "w") as file:
+        ...     _ = file.write("gamma, viscosity")
+        >>> try:
+        ...     dpd.load_scan("notes.nc")
+        ... except dpd.FileError as error:
+        ...     print(error)
+        notes.nc is no table of a scan, or a damaged one: ...
+    """
 
 
 class ConfigError(DPDError, ValueError):
-    """A TOML file that does not say what is to be done."""
+    """A TOML file that does not say what is to be done.
+
+    Example:
+        >>> from dpdjax.cli import main
+        >>> with open("run.toml", "w") as file:
+        ...     _ = file.write("fluids = 3")
+        >>> main(["run", "run.toml"])  # a ConfigError, told in one line: the exit status is 2
+        2
+    """
 
 
 class Stopped(SystemExit):
     """A run ended by SIGTERM with all it had computed on disk; the process exits with ``STATUS``.
 
     The same call goes on with it.
+
+    Example:
+        >>> dpd.Stopped.STATUS, issubclass(dpd.Stopped, SystemExit)
+        (75, True)
     """
 
     STATUS = 75

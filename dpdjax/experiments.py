@@ -145,16 +145,32 @@ def _refuse_unknown(experiment, numbers: dict):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Viscosity(_OfFluid):
-    """``viscosity`` and ``temperature`` of a fluid under steady shear.
+    """A fluid under steady shear: ``viscosity`` [energy time/length^3], ``temperature`` [energy].
 
     Attributes:
         rate: shear rate [1/time].
         strain: what is measured over, in place of ``time``: a constant one gives all points of a
             flow curve errors of one order.
-        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
-            beads per volume, in a box of this side, measured over this time [time] after settling
-            for another, by a step and an integrator that are chosen for it unless given; another
-            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
+        fluid: what runs; a point may give any of its numbers.
+        density: beads per volume [1/length^3].
+        box: side [length].
+        time: what is measured over [time]; in its place ``strain`` where that is given.
+        settle: time before [time].
+        dt: time step [time]; by default the one suggested.
+        integrator: by default the one that covers most time for its cost.
+        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
+
+    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
+    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
+    kT.
+
+    Example:
+        >>> flow_curve = dpd.experiments.Viscosity(fluid=water, box=4.0, strain=2.0)
+        >>> flow_curve.rate, flow_curve.strain, flow_curve.density
+        (0.2, 2.0, 3.0)
+        >>> first = next(flow_curve(key, rate=0.5, gamma=9.0))  # the run to rest that it asks for
+        >>> float(first.fluid.value("gamma"))
+        9.0
     """
 
     rate: float = 0.2
@@ -180,15 +196,29 @@ class Viscosity(_OfFluid):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Diffusion(_OfFluid):
-    """``diffusion`` of the beads of a fluid at rest, and ``temperature``.
+    """A fluid at rest: ``diffusion`` of its beads [length^2/time] and ``temperature`` [energy].
 
     Attributes:
         fit: lags of the mean squared displacement that are fitted [time]; by default the
             eighth of ``time`` that is last of those that tell, as :func:`dpdjax.diffusion` has it.
-        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
-            beads per volume, in a box of this side, measured over this time [time] after settling
-            for another, by a step and an integrator that are chosen for it unless given; another
-            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
+        fluid: what runs; a point may give any of its numbers.
+        density: beads per volume [1/length^3].
+        box: side [length].
+        time: what is measured over [time].
+        settle: time before [time].
+        dt: time step [time]; by default the one suggested.
+        integrator: by default the one that covers most time for its cost.
+        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
+
+    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
+    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
+    kT.
+
+    Example:
+        >>> experiment = dpd.experiments.Diffusion(fluid=water, box=4.0, time=50.0, fit=(2.0, 4.0))
+        >>> first = next(experiment(key, gamma=9.0))  # the run to rest that it asks for
+        >>> round(first.plan.steps * float(first.dt), 1)  # over the time to settle
+        10.0
     """
 
     fit: tuple[float, float] | None = None
@@ -207,13 +237,27 @@ class Diffusion(_OfFluid):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pressure(_OfFluid):
-    """``pressure`` and ``temperature`` of a fluid at rest: its equation of state.
+    """The equation of state: ``pressure`` [energy/length^3], ``temperature`` [energy] at rest.
 
     Attributes:
-        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
-            beads per volume, in a box of this side, measured over this time [time] after settling
-            for another, by a step and an integrator that are chosen for it unless given; another
-            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
+        fluid: what runs; a point may give any of its numbers.
+        density: beads per volume [1/length^3].
+        box: side [length].
+        time: what is measured over [time].
+        settle: time before [time].
+        dt: time step [time]; by default the one suggested.
+        integrator: by default the one that covers most time for its cost.
+        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
+
+    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
+    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
+    kT.
+
+    Example:
+        >>> state_of = dpd.experiments.Pressure(fluid=water, box=4.0, time=2.0, settle=1.0)
+        >>> table = dpd.scan(state_of, {"a": [25.0]}, key=key, **quiet)
+        >>> bool(abs(table.pressure[0] - 24) < 3)
+        True
     """
 
     def __call__(self, key: jax.Array, **point):
@@ -229,18 +273,36 @@ class Pressure(_OfFluid):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Solvent(_OfFluid):
-    """``viscosity``, ``diffusion``, ``schmidt`` and ``pressure`` of a fluid: those that the atlas
-    has, by runs at rest and under shear.
+    """What the atlas has of a fluid, by runs at rest and under shear.
+
+    They are ``viscosity`` [energy time/length^3], ``diffusion`` [length^2/time], ``schmidt``, and
+    ``pressure`` [energy/length^3], with ``temperature`` [energy].
 
     Attributes:
         rate: shear rate [1/time]; by default the largest whose bias stays below one per cent.
         sheared: time under shear [time]; by default as long as at rest.
-        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
-            beads per volume, in a box of this side, measured over this time [time] after settling
-            for another, by a step and an integrator that are chosen for it unless given; another
-            ``kT`` does to potentials what :meth:`dpdjax.Fluid.set` says.
+        fluid: what runs; a point may give any of its numbers.
+        density: beads per volume [1/length^3].
+        box: side [length].
+        time: what is measured over [time].
+        settle: time before [time].
+        dt: time step [time]; by default the one suggested.
+        integrator: by default the one that covers most time for its cost.
+        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
 
     Diffusion is that of a large system, :func:`dpdjax.measure.large_system_diffusion`.
+
+    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
+    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
+    kT.
+
+    Example:
+        >>> experiment = dpd.experiments.Solvent(fluid=water, time=500.0)
+        >>> experiment.time, experiment.box, experiment.settle
+        (500.0, 10.0, 10.0)
+        >>> first = next(dpd.experiments.Solvent(fluid=water, box=4.0)(key, a=20.0))
+        >>> float(first.fluid.value("a"))
+        20.0
     """
 
     time: float = 200.0
@@ -292,16 +354,31 @@ def _static(fluid, state) -> dict:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class OscillatoryShear(_OfFluid):
-    """``storage_modulus`` and ``loss_modulus`` of a fluid under oscillatory shear.
+    """A fluid under oscillatory shear: ``storage_modulus`` and ``loss_modulus`` [energy/length^3].
 
     Attributes:
         frequency: angular [1/time].
         amplitude: of the strain.
         cycles: that are measured over, after one that is left out, in place of ``time``.
-        fluid, density, box, time, settle, dt, integrator, energies: what runs, at so many
-            beads per volume, in a box of this side, after settling for another time [time], by a
-            step and an integrator that are chosen for it unless given; another ``kT`` does to
-            potentials what :meth:`dpdjax.Fluid.set` says.
+        fluid: what runs; a point may give any of its numbers.
+        density: beads per volume [1/length^3].
+        box: side [length].
+        settle: time before [time].
+        dt: time step [time]; by default the one suggested.
+        integrator: by default the one that covers most time for its cost.
+        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
+
+    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
+    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
+    kT.
+
+    Example:
+        >>> experiment = dpd.experiments.OscillatoryShear(fluid=water, box=4.0, cycles=4)
+        >>> experiment.amplitude, experiment.cycles
+        (0.5, 4)
+        >>> first = next(experiment(key, frequency=2.0))  # the run to rest that it asks for
+        >>> first.state.n
+        192
     """
 
     frequency: float = 1.0
@@ -358,8 +435,23 @@ class _OfSuspension:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Gel(_OfSuspension):
-    """``contact_number`` and ``largest_cluster`` (the colloids in it) at the end of a quench from
-    rest into the attraction, over ``times`` diffusion times."""
+    """A quench of colloids from rest into the attraction, over ``times`` diffusion times.
+
+    ``contact_number`` and ``largest_cluster``, the colloids in it, are those at its end.
+
+    Attributes:
+        phi: volume fraction of the colloids.
+        box: side [length].
+        times: what is measured, in diffusion times.
+        settle: time before, without attraction [time].
+        numbers: others that :func:`dpdjax.suspension` takes; a point may give any.
+
+    Example:
+        >>> quench = dpd.experiments.Gel(box=7.0, times=0.5, numbers={"kappa": 30.0})
+        >>> first = next(quench(key, phi=0.2, D0=1.2))  # the run to rest, without attraction
+        >>> float(first.fluid.value("D0"))
+        0.0
+    """
 
     def __call__(self, key: jax.Array, **point):
         """Ask for the runs at a point."""
@@ -377,10 +469,22 @@ class Gel(_OfSuspension):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SuspensionViscosity(_OfSuspension):
-    """``viscosity`` of a sheared suspension, from the second half of ``times`` diffusion times.
+    """A sheared suspension: ``viscosity`` [energy time/length^3].
+
+    It is that of the second half of ``times`` diffusion times.
 
     Attributes:
         rate: shear rate [1/time].
+        phi: volume fraction of the colloids.
+        box: side [length].
+        times: what is measured, in diffusion times.
+        settle: time before, without attraction [time].
+        numbers: others that :func:`dpdjax.suspension` takes; a point may give any.
+
+    Example:
+        >>> experiment = dpd.experiments.SuspensionViscosity(box=7.0, rate=0.05, times=2.0)
+        >>> experiment.rate, experiment.phi, experiment.times
+        (0.05, 0.2, 2.0)
     """
 
     rate: float = 0.1

@@ -145,10 +145,11 @@ def calibrate(
             sequence of them, for as many wanted numbers, e.g. ``("gamma", "a")`` with
             ``viscosity=`` and ``pressure=``. Several parameters follow an optax optimiser from
             where the atlas has the numbers, or else their present values, and give a
-            :class:`JointCalibration`.
+            ``JointCalibration``.
         key: a PRNG key.
-        viscosity, diffusion, schmidt, pressure, compressibility: the wanted number, as
-            :class:`dpdjax.surrogate.atlas.Properties` has them; or ``target`` with
+        viscosity, diffusion, schmidt, pressure, compressibility: the wanted number [energy
+            time/length^3], [length^2/time] in a large system, viscosity over mass density and
+            diffusion, [energy/length^3], [length^3/energy]; or ``target`` with
             ``observe(fluid, state)`` and the ``flow`` it is measured in.
         density: beads per volume; by default 3 in the cube of the longest reach.
         tolerance: relative; the standard error of the wanted number at the answer, in the
@@ -174,15 +175,25 @@ def calibrate(
             shear is slower than 0.3 over it unless ``rate=`` is given.
         max_particle_steps: give up beyond.
         optimiser: an ``optax.GradientTransformation``, for several parameters.
-        atlas: begin where :func:`dpdjax.design` would, and take slopes from there, for a fluid that
-            it covers; what is answered rests on the runs alone. A run that contradicts the atlas is
-            warned of.
+        atlas: begin where the atlas of DPD fluids has the number, and take slopes from there, for a
+            fluid that it covers; what is answered rests on the runs alone. A run that contradicts
+            the atlas is warned of.
         report: ``report(text)`` is told of the progress.
 
     Raises:
         TargetError: a target below the measured minimum, which it states; its ``history``
             holds the points.
         ValueError, TypeError: arguments that cannot work, before anything runs.
+
+    Example:
+        >>> found = dpd.calibrate(water, viscosity=1.5, key=key, tolerance=0.5, box=4.0)
+        >>> found.parameter, found.name, found.target
+        ('gamma', 'viscosity', 1.5)
+        >>> found.measured.error < 0.5 * 1.5 / 3  # of a fresh run at the answer
+        True
+        >>> thick = found.fluid  # water with that gamma
+        >>> bool(thick.value("gamma") > water.value("gamma"))
+        True
     """
     clock = Clock()
     key = prng_key(key)
@@ -359,9 +370,18 @@ def measure_viscosity(
     tolerance.
 
     Starts from nothing: equilibrates a batch of boxes, shears them and goes on until the
-    error bar is met. Arguments as in :func:`calibrate`.
+    error bar is met. Arguments as in :func:`dpdjax.calibrate`.
 
-    Returns a :class:`Measurement`, the viscosity in its ``estimate``.
+    Returns a ``Measurement``, the viscosity in its ``estimate`` [energy time/length^3]. Raises
+    ValueError, TypeError for arguments that cannot work, RuntimeError for a fluid that the shear
+    heats.
+
+    Example:
+        >>> found = dpd.measure_viscosity(water, key=key, tolerance=0.5, box=4.0)
+        >>> abs(found.estimate.value - 0.85) < 0.4
+        True
+        >>> found.series.shape[0]  # boxes
+        2
     """
     clock = Clock()
     key = prng_key(key)

@@ -38,6 +38,12 @@ def relative_viscosity(
 
     Raises ValueError as :func:`dpdjax.shear_viscosity` and :func:`dpdjax.measure.solvent_density`
     do, TypeError without a key.
+
+    Example:
+        >>> solvent = dpd.Estimate(0.85, 0.02)  # measured at the density between the colloids
+        >>> found = dpd.relative_viscosity(sheared, solvent=solvent)  # water for a suspension
+        >>> found == dpd.shear_viscosity(sheared).over(solvent)
+        True
     """
     suspended = shear_viscosity(trajectory, skip=skip, blocks=blocks)
     if solvent is None:

@@ -36,7 +36,7 @@ class Part:
         )
 
     def batch_axes(self):
-        """The ``in_axes`` for ``jax.vmap``: 0 for what is a batch by :attr:`ranks`."""
+        """The ``in_axes`` for ``jax.vmap``: 0 for what is a batch by ``ranks``."""
         axis = lambda x, rank: 0 if jnp.ndim(x) == rank + 1 else None
         axes = {
             name: jax.tree.map(lambda x: axis(x, rank), getattr(self, name))

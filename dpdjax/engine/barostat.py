@@ -47,31 +47,32 @@ class CellRescaling(Integrator):
     across it Del Tatto, Bernetti, Campomanes & Bussi 2022).
 
     For each group of k sides that change by one factor, ``e`` the logarithm of their product,
-
-        de = -k beta / (3 tau) (p - gamma / L_z - P) dt + sqrt(2 k kT beta / (3 V tau)) dW,
-
+    ``de = -k beta / (3 tau) (p - gamma / L_z - P) dt + sqrt(2 k kT beta / (3 V tau)) dW``,
     P the mean of the pressure along them and ``gamma / L_z`` for x and y alone. All three sides
     together (k = 3) are eq. 7 of 2020, the plane (k = 2) and its normal (k = 1) eqs. 5 of 2022. It
     is a gradient descent with noise in the free energy, so that states come with the weight
     ``exp(-(H + p V - gamma A) / kT)``.
 
-    | in a step                                                 | here                      |
-    |-----------------------------------------------------------|---------------------------|
-    | e' = e + de, of the pressure before the step              | :meth:`stretch`           |
-    | velocities half kicked, beads moved                       | :func:`drifted`           |
-    | sides and positions times s, velocities by 1 / s          | :func:`drifted`           |
-    | forces in the new box, the other half kick                | the ``base``              |
+    ==========================================================  ===================================
+    in a step                                                   here
+    ==========================================================  ===================================
+    e' = e + de, of the pressure before the step                ``stretch``
+    velocities half kicked, beads moved                         :func:`dpdjax.integrators.drifted`
+    sides and positions times s, velocities by 1 / s            :func:`dpdjax.integrators.drifted`
+    forces in the new box, the other half kick                  the ``base``
+    ==========================================================  ===================================
 
     So no force is ever one of another box, and a step costs what the sums over pairs at every step
     cost. P is what the free energy has for a slope: the kinetic and the conservative part. Drag and
     noise between pairs belong to the thermostat, which keeps the ensemble of any fixed box; their
     stress is the slope of no energy, and the volume would answer it by fluctuations that are not
     its own. Total momentum is fixed at zero, so that the kinetic part lacks three freedoms: P is by
-    ``kT / V`` more than :func:`pressure_tensor` tells, whose mean then is ``p - kT <1/V>``.
+    ``kT / V`` more than :func:`dpdjax.observe.pressure_tensor` tells, whose mean then is
+    ``p - kT <1/V>``.
 
     In equilibrium any ``relaxation`` and any ``compressibility`` give the same ensemble: they say
-    only, by their quotient, how fast the volume moves. The variance of the volume errs by ``dt / 2
-    tau``. A box that shrinks below twice the reach of its lists is refused, as a start is.
+    only, by their quotient, how fast the volume moves. The variance of the volume errs by
+    ``dt / 2 tau``. A box that shrinks below twice the reach of its lists is refused, as a start is.
 
     Attributes:
         pressure: wanted along all sides that change [energy / volume].
@@ -83,7 +84,15 @@ class CellRescaling(Integrator):
         coupling: which sides change by one factor (static): "isotropic", all; "semi-isotropic", x
             and y, and z for itself, of a box with an interface or a membrane across z: nothing
             holds the shape of a fluid without; "normal", z alone.
-        base: the integrator that moves the beads: any whose step begins with :func:`drifted`.
+        base: the integrator that moves the beads: any whose step begins with
+            :func:`dpdjax.integrators.drifted`.
+
+    Example:
+        >>> how = dpd.integrators.CellRescaling(pressure=23.65)
+        >>> after = dpd.step(water, state, key, 0.01, integrator=how)
+        >>> float(state.box.volume), bool(0.0 < abs(after.box.volume - 64.0) < 1.0)
+        (64.0, True)
+        >>> membrane = dpd.integrators.CellRescaling(23.65, tension=0.0, coupling="semi-isotropic")
     """
 
     ranks = {"pressure": 0, "relaxation": 0, "compressibility": 0, "tension": 0}

@@ -2,8 +2,7 @@
 
 import contextlib
 
-from jax.typing import ArrayLike
-
+from dpdjax.checks import Numbers
 from dpdjax.engine.implicit import ImplicitDrag
 from dpdjax.engine.integrator import Integrator, VelocityVerlet
 from dpdjax.engine.multistep import MultipleTimeStep
@@ -13,7 +12,7 @@ from dpdjax.model.fluid import Fluid
 
 def suited(
     fluid: Fluid,
-    density: ArrayLike,
+    density: Numbers,
     sizes: tuple[float, float] = (1.0, 1.0),
     *,
     integrator: Integrator | None = None,
@@ -30,19 +29,28 @@ def suited(
 
 def cheapest(
     fluid: Fluid,
-    density: ArrayLike,
+    density: Numbers,
     sizes: tuple[float, float] = (1.0, 1.0),
     *,
     error: float = ERROR,
 ) -> Integrator:
     """The integrator that covers most physical time for its cost at the same accuracy.
 
-    :class:`VelocityVerlet` for most fluids, :class:`ImplicitDrag` for strong drag between beads
-    that hardly repel each other, :class:`MultipleTimeStep` where the contacts and the lubrication
-    of a few beads with radii would set the step of all.
+    :class:`dpdjax.integrators.VelocityVerlet` for most fluids,
+    :class:`dpdjax.integrators.ImplicitDrag` for strong drag between beads that hardly repel each
+    other, :class:`dpdjax.integrators.MultipleTimeStep` where the contacts and the lubrication of a
+    few beads with radii would set the step of all.
 
     Args:
         fluid, density, sizes, error: as for :func:`dpdjax.suggest_dt`.
+
+    Example:
+        >>> dpd.integrators.cheapest(water, density=3.0)
+        VelocityVerlet(lam=0.5)
+        >>> dpd.integrators.cheapest(water.set(gamma=100.0, a=0.0), density=3.0)
+        ImplicitDrag(tolerance=0.003)
+        >>> dpd.integrators.cheapest(made.fluid, density=[2.4, 0.05])
+        MultipleTimeStep(inner=..., stiff=None, tolerance=0.003)
     """
     stepwise = lambda: MultipleTimeStep.suited_to(fluid, density, sizes, error=error)
     found = [(0.0, VelocityVerlet())]

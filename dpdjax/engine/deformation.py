@@ -16,10 +16,32 @@ from dpdjax.model.fluid import Fluid
 class Deformation(Part):
     """What every deformation answers; by default a steady shear of its ``rate``.
 
+    One of your own is a frozen dataclass, registered with ``jax.tree_util.register_dataclass``, its
+    numbers leaves. ``rate_at`` and ``strain_in`` have to agree. ``ranks = {"name": 0}`` names the
+    numbers that may differ from member to member of a batch, each with its axes in one member.
+
     Attributes:
-        rate: the shear rate; the largest where it changes [1/time]. One that never deforms the box
-            has the plain number 0.0, as a static field or an attribute of its class.
-        frequency: angular frequency of an oscillation [1/time], None of what does not oscillate.
+        rate: the shear rate; the largest where it changes [1 / time]. One that never deforms the
+            box has the plain number 0.0, as a static field or an attribute of its class.
+        frequency: angular frequency of an oscillation [1 / time], None of what does not
+            oscillate.
+
+    Example:
+        >>> import dataclasses
+        >>> @jax.tree_util.register_dataclass
+        ... @dataclasses.dataclass(frozen=True)
+        ... class Pulse(dpd.flows.Deformation):  # sheared until a moment, and no more
+        ...     rate: float
+        ...     until: float
+        ...     def rate_at(self, time):
+        ...         return jnp.where(time < self.until, self.rate, 0.0)
+        ...     def strain_in(self, time, dt):
+        ...         return dt * self.rate_at(time)
+        >>> pulse = Pulse(rate=0.2, until=1.0)
+        >>> [round(float(pulse.strain_in(time, 0.01)), 4) for time in (0.5, 1.5)]
+        [0.002, 0.0]
+        >>> pulse.deforms, pulse.is_steady
+        (True, False)
     """
 
     rate: Any
@@ -34,8 +56,9 @@ class Deformation(Part):
 
     @property
     def deforms(self) -> bool:
-        """Whether it can tilt the box, by its kind and whatever its numbers: False only for a plain
-        rate of 0."""
+        """Whether it can tilt the box, by its kind and whatever its numbers; False only for a plain
+        rate of 0.
+        """
         return not (self.is_steady and isinstance(self.rate, (int, float)) and self.rate == 0)
 
     def check(self, fluid: Fluid, state: State) -> None:
@@ -86,7 +109,8 @@ class Shear(Deformation):
 @dataclasses.dataclass(frozen=True)
 class Oscillation(Deformation):
     """Homogeneous shear of strain ``amplitude sin(frequency time)``; see
-    :func:`oscillatory_shear`."""
+    :func:`dpdjax.flows.oscillatory_shear`.
+    """
 
     ranks = {"amplitude": 0, "frequency": 0}
 
@@ -107,9 +131,17 @@ class Oscillation(Deformation):
 
 
 def shear(rate: ArrayLike) -> Shear:
-    """Steady shear ``u_x = rate y`` [1/time] under Lees-Edwards boundaries.
+    """Steady shear ``u_x = rate y`` [1 / time] under Lees-Edwards boundaries, a ``flow=`` of a run.
 
-    Velocities in the state are peculiar: relative to the streaming velocity.
+    Velocities in the state are peculiar: relative to the streaming velocity. For a batch, give a
+    rate for each member. Raises TypeError for what is no number.
+
+    Example:
+        >>> flow = dpd.shear(0.2)
+        >>> round(float(flow.strain_in(time=0.0, dt=0.01)), 4), flow.is_steady
+        (0.002, True)
+        >>> round(float(sheared.final.box.strain), 3)  # 200 steps of 0.01
+        0.4
     """
     return Shear(number(rate, "rate"))
 
@@ -119,7 +151,15 @@ def oscillatory_shear(amplitude: ArrayLike, frequency: ArrayLike) -> Oscillation
     boundaries.
 
     The strain is imposed on the whole box at once (the SLLOD equations), so there is no wave to
-    wait for. ``frequency`` is the angular one [1/time]. Measure with :func:`dpdjax.measure.moduli`.
+    wait for. ``frequency`` is the angular one [1 / time]; raises ValueError where it is not above
+    zero. Measure with :func:`dpdjax.measure.moduli`.
+
+    Example:
+        >>> swing = dpd.oscillatory_shear(amplitude=0.05, frequency=2 * np.pi)
+        >>> [round(float(swing.rate_at(time)), 3) for time in (0.0, 0.5, 1.0)]
+        [0.314, -0.314, 0.314]
+        >>> swing.deforms, swing.is_steady
+        (True, False)
     """
     return Oscillation(number(amplitude, "amplitude"), positive(frequency, "frequency"))
 

@@ -17,7 +17,24 @@ from dpdjax.model.fluid import Fluid
 
 
 class Driver(Part):
-    """What every driver answers; by default it drives nothing."""
+    """What every driver answers; by default it drives nothing.
+
+    One of your own is a frozen dataclass, registered with ``jax.tree_util.register_dataclass``, its
+    numbers leaves. ``ranks = {"name": 0}`` names the numbers that may differ from member to member
+    of a batch, each with its axes in one member.
+
+    Example:
+        >>> import dataclasses
+        >>> @jax.tree_util.register_dataclass
+        ... @dataclasses.dataclass(frozen=True)
+        ... class Trap(dpd.flows.Driver):  # a spring to the middle of the box
+        ...     stiffness: float
+        ...     def force(self, state, mass):
+        ...         return self.stiffness * (0.5 * state.box.lengths - state.position)
+        >>> held = dpd.forces(water, state, key, 0.01, Trap(0.1), kinds=("driven",))
+        >>> bool(jnp.allclose(held.force, 0.1 * (2.0 - state.position), atol=1e-5))
+        True
+    """
 
     def check(self, fluid: Fluid, state: State) -> None:
         """Raise TypeError or ValueError, before a run of one state, for one that cannot work there.
@@ -48,7 +65,9 @@ class Driver(Part):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BodyForce(Driver):
-    """A force on every bead, ``field(position, time, **numbers)``; see :func:`body_force`."""
+    """A force on every bead, ``field(position, time, **numbers)``; see
+    :func:`dpdjax.flows.body_force`.
+    """
 
     field: Callable = dataclasses.field(metadata={"static": True})
     numbers: dict[str, Any]
@@ -72,7 +91,7 @@ class BodyForce(Driver):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Wave(BodyForce):
-    """A sinusoidal body force along x; see :func:`sinusoidal_force`."""
+    """A sinusoidal body force along x; see :func:`dpdjax.flows.sinusoidal_force`."""
 
     ranks = {"numbers": 0}
 
@@ -92,7 +111,9 @@ class Wave(BodyForce):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Drive(Driver):
-    """A force and a torque on every bead of one species, the rest held back; see :func:`drive`."""
+    """A force and a torque on every bead of one species, the rest held back; see
+    :func:`dpdjax.flows.drive`.
+    """
 
     ranks = {"applied_force": 1, "applied_torque": 1}
 
@@ -136,8 +157,16 @@ def body_force(
             beads. Without it a periodic box accelerates for ever.
         jumps: the field is meant to jump at the faces of the box, as that of reverse Poiseuille
             flow does (one way in one half, the other way in the other). Elsewhere a jump is a
-            mistake and refused before a run.
+            mistake and refused before a run, with ValueError.
         **numbers: the field's numbers (leaves).
+
+    Example:
+        >>> def towards_z(position, time, *, g):
+        ...     return jnp.array([0.0, 0.0, g])
+        >>> falling = dpd.flows.body_force(towards_z, g=-0.1, balance=False)
+        >>> mass = dpd.integrators.masses(water, state)[:, None]
+        >>> [round(float(f), 2) for f in falling.force(state, mass).sum(axis=0)]  # of 192 beads
+        [0.0, 0.0, -19.2]
     """
     return BodyForce(field, {k: number(v, k) for k, v in numbers.items()}, balance, jumps=jumps)
 
@@ -163,6 +192,15 @@ def drive(
     jnp.array([1.0, 0.0, 0.0])``.
 
     Raises ValueError for an unknown reaction, or nothing to drive.
+
+    Example:
+        >>> pulled = dpd.drive(force=2.0, species=1)
+        >>> mass = dpd.integrators.masses(marble.fluid, marble.state)[:, None]
+        >>> f = pulled.force(marble.state, mass)
+        >>> f.shape, round(float(f[-1, 0]), 2)  # of the marble, less what its own mass bears
+        ((636, 3), 1.96)
+        >>> bool(abs(f.sum()) < 1e-3)
+        True
     """
     choice(reaction, ("all", "others"), "reaction")
     species = whole(species, "species", least=0)
@@ -195,17 +233,36 @@ def sine_field(position, time, *, amplitude, wavenumber):
 
 
 def sinusoidal_force(amplitude: ArrayLike, side: ArrayLike, waves: int = 1) -> BodyForce:
-    """``amplitude sin(k y)`` along x on each bead, with ``waves`` periods in ``side``.
+    """``amplitude sin(k y)`` along x on each bead [force], with ``waves`` periods in ``side``
+    [length].
 
     Drives ``U sin(k y)`` with ``U = density amplitude / (viscosity k**2)``. For a batch, give a
-    number for each member.
+    number for each member. A run raises ValueError where the periods do not fit its box along y.
+    Measure with :func:`dpdjax.measure.sinusoidal_viscosity`.
+
+    Example:
+        >>> wave = dpd.flows.sinusoidal_force(amplitude=0.1, side=4.0)
+        >>> mass = dpd.integrators.masses(water, state)[:, None]
+        >>> f = wave.force(state, mass)
+        >>> expected = 0.1 * jnp.sin(2 * jnp.pi * state.position[:, 1] / 4.0)
+        >>> bool(jnp.allclose(f[:, 0], expected - expected.mean(), atol=1e-5))
+        True
     """
     wavenumber = 2 * jnp.pi * number(waves, "waves") / positive(side, "side")
     return Wave(sine_field, {"amplitude": number(amplitude, "amplitude"), "wavenumber": wavenumber})
 
 
 def constant_field(position: jax.Array, time: ArrayLike, *, acceleration: ArrayLike) -> jax.Array:
-    """The same force on every bead."""
+    """The same force on every bead (n, 3), for :func:`dpdjax.flows.body_force`.
+
+    ``acceleration`` is that force, a vector (3,) [force]: the acceleration of beads of mass 1.
+
+    Example:
+        >>> field, along_x = dpd.flows.constant_field, jnp.array([0.1, 0.0, 0.0])
+        >>> field(state.position, 0.0, acceleration=along_x).shape
+        (192, 3)
+        >>> flow = dpd.flows.body_force(field, acceleration=along_x, balance=False)
+    """
     return jnp.broadcast_to(acceleration, position.shape)
 
 

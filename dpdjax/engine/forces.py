@@ -23,7 +23,15 @@ UNDAMPED = (CONSERVATIVE, DRIVEN)
 
 
 def update_lists(state: State) -> State:
-    """The state with those of its lists built anew that are stale."""
+    """The state with those of its lists built anew that are stale.
+
+    Example:
+        >>> import dataclasses
+        >>> swapped = dataclasses.replace(state, position=state.position[::-1])
+        >>> fresh = dpd.integrators.update_lists(swapped)
+        >>> bool((fresh.neighbours[0].list.idx == state.neighbours[0].list.idx).all())
+        False
+    """
     how = order.list_ids(state), state.excluded
     with jax.named_scope("neighbours"):
         neighbours = tuple(
@@ -53,8 +61,16 @@ def forces_on(
         only: places in ``fluid.interactions`` of those that act (static); all by default. Bonds
             act whichever do.
 
-    Returns :class:`Forces`; those of two kinds are added by ``+``, and multiplied by a number.
-    Raises ValueError for an unknown kind or velocities of another shape.
+    Returns :class:`dpdjax.integrators.Forces`; those of two kinds are added by ``+``, and
+    multiplied by a number. Raises ValueError for an unknown kind or velocities of another shape.
+
+    Example:
+        >>> now, kinds = rest.final, ("conservative", "driven")
+        >>> acts = dpd.integrators.forces_on(rest.system, now, now.velocity, key, False, kinds)
+        >>> acts.force.shape, acts.tally is None
+        ((192, 3), True)
+        >>> bool(jnp.abs(acts.force.sum(axis=0)).max() < 1e-2)
+        True
     """
     check_kinds_of_force(kinds)
     if velocity.shape != state.velocity.shape:

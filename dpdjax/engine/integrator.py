@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from dpdjax.checks import Numbers
 from dpdjax.engine.answers import Part
 from dpdjax.engine.compensated import plus
 from dpdjax.engine.forces import EVERYTHING, check_kinds_of_force, forces_on, update_lists
@@ -25,23 +26,40 @@ class Integrator(Part):
     """What every integrator answers.
 
     One of your own is a frozen dataclass, registered with ``jax.tree_util.register_dataclass``. It
-    writes :meth:`step`, of which :func:`drifted`, :func:`forces_on` and :func:`settled` are the
-    parts, and has numbers (leaves, for gradients) and counts (``dataclasses.field(default=4,
+    writes ``step``, of which :func:`dpdjax.integrators.drifted`,
+    :func:`dpdjax.integrators.forces_on` and :func:`dpdjax.integrators.settled` are the parts, and
+    has numbers (leaves, for gradients) and counts (``dataclasses.field(default=4,
     metadata={"static": True})``). ``ranks = {"name": 0}`` names the numbers that may differ from
     member to member of a batch, each with its axes in one member. ``system`` has a ``fluid``, a
     ``dt``, a ``flow`` (``rate_at``, ``strain_in``) and the integrator.
 
-    :meth:`dt_limits` and :meth:`dt_errors` are those measured for velocity-Verlet unless you write
-    others: a run is refused by the first, and ``suggest_dt`` answers by both, so measure the
-    temperature at a few ``dt`` times :func:`dpdjax.theory.damping_rate`. :meth:`forces` and
-    :meth:`mark_of` are for a force that lacks some interactions between two steps, :attr:`kinds`
-    for one that lacks some kinds: a state with your mark is gone on with as it is.
+    ``dt_limits`` and ``dt_errors`` are those measured for velocity-Verlet unless you write others:
+    a run is refused by the first, and ``suggest_dt`` answers by both, so measure the temperature at
+    a few ``dt`` times :func:`dpdjax.theory.damping_rate`. ``forces`` and ``mark_of`` are for a
+    force that lacks some interactions between two steps, ``kinds`` for one that lacks some kinds: a
+    state with your mark is gone on with as it is.
 
     Attributes:
         kinds: the kinds of force that the force of a state consists of between two steps.
         cost: a step in units of one of velocity-Verlet (measured: tests/benchmarks/STEPS.md), by
-            which lists are planned and :func:`cheapest` chooses among those of the package.
+            which lists are planned and :func:`dpdjax.integrators.cheapest` chooses among those of
+            the package.
         changes_box: whether the sides of the box may change in a step.
+
+    Example:
+        >>> import dataclasses
+        >>> from dpdjax import integrators
+        >>> @jax.tree_util.register_dataclass
+        ... @dataclasses.dataclass(frozen=True)
+        ... class Own(integrators.Integrator):
+        ...     lam: float = 0.65
+        ...     def step(self, system, state, key, tally):
+        ...         moved, drift = integrators.drifted(system, state, self.lam)
+        ...         velocity = drift.predicted(self.lam)
+        ...         forces = integrators.forces_on(system, moved, velocity, key, tally)
+        ...         return integrators.settled(system, state, moved, drift, forces)
+        >>> dpd.step(water, state, key, 0.01, integrator=Own())
+        State(192 beads, box 4 x 4 x 4, step 201, time 2.01)
     """
 
     kinds: ClassVar[tuple[str, ...]] = EVERYTHING
@@ -52,13 +70,13 @@ class Integrator(Part):
         """The state a step of ``system.dt`` later, its force known.
 
         ``tally`` (static): with the sums over pairs, which energies and stresses are read off. Hand
-        it to the last evaluation of each kind of force; :class:`Forces` with sums and without add
-        up.
+        it to the last evaluation of each kind of force; :class:`dpdjax.integrators.Forces` with
+        sums and without add up.
         """
         raise NotImplementedError(f"{type(self).__name__} has no step(system, state, key, tally)")
 
     def stepped(self, system, state: State, key: jax.Array, tally: bool) -> State:
-        """:meth:`step`, and TypeError or ValueError for what is no state a step later."""
+        """``step``, and TypeError or ValueError for what is no state a step later."""
         after, name = self.step(system, state, key, tally), type(self).__name__
         if not isinstance(after, State):
             raise TypeError(f"step of {name} gives {after!r}; return the state a step later")
@@ -94,7 +112,7 @@ class Integrator(Part):
         return jax.lax.cond(any_in_batch(~is_known), compute, lambda state: state, state)
 
     def forces(self, system, state: State, key: jax.Array, tally: bool) -> Forces:
-        """The force of a state between two steps, as :meth:`start` computes it."""
+        """The force of a state between two steps, as ``start`` computes it."""
         return forces_on(system, state, state.velocity, key, tally, self.kinds)
 
     def mark_of(self, fluid: Fluid) -> int:
@@ -112,17 +130,15 @@ class Integrator(Part):
         are taken."""
 
     def dt_limits(
-        self, fluid: Fluid, density: ArrayLike, sizes: tuple[float, float]
+        self, fluid: Fluid, density: Numbers, sizes: tuple[float, float]
     ) -> list[tuple[str, float]]:
-        """What is unstable at too long a time step, and the longest it allows; see
-        :func:`advice.dt_limits`."""
+        """What is unstable at too long a time step, and the longest it allows [time]."""
         return advice.dt_limits(fluid, density, sizes)
 
     def dt_errors(
-        self, fluid: Fluid, density: ArrayLike, error: float = advice.ERROR
+        self, fluid: Fluid, density: Numbers, error: float = advice.ERROR
     ) -> list[tuple[str, float]]:
-        """What errs with the time step, and the dt at which it errs by ``error``; see
-        :func:`advice.dt_errors`."""
+        """What errs with the time step, and the dt at which it errs by ``error`` [time]."""
         return advice.dt_errors(fluid, density, error)
 
 
@@ -131,17 +147,25 @@ class Integrator(Part):
 class VelocityVerlet(Integrator):
     """Velocity-Verlet whose drag is that of a predicted velocity (Groot & Warren 1997, eq. 15).
 
-    | in the method                       | here                                   |
-    |-------------------------------------|----------------------------------------|
-    | r += dt v + dt^2 f / 2m             | :func:`drifted`, v = c + rate y e_x    |
-    | strain += rate dt                   | ``flow.strain_in``, ``moved_on``       |
-    | v~ = v + lambda dt f / m            | ``predicted``                          |
-    | f' = F(r, v~), noise of step + 1    | :func:`forces_on`                      |
-    | v += dt (f + f') / 2m               | :func:`settled`                        |
-    | the same for angles, with I for m   | ``rotation_drifted``, ``_settled``     |
+    ==================================  ===================================================
+    in the method                       here
+    ==================================  ===================================================
+    r += dt v + dt^2 f / 2m             :func:`dpdjax.integrators.drifted`, v = c + rate y e_x
+    strain += rate dt                   ``flow.strain_in``
+    v~ = v + lambda dt f / m            ``predicted``
+    f' = F(r, v~), noise of step + 1    :func:`dpdjax.integrators.forces_on`
+    v += dt (f + f') / 2m               :func:`dpdjax.integrators.settled`
+    the same for angles, with I for m   in ``drifted`` and ``settled``
+    ==================================  ===================================================
 
     Attributes:
         lam: weight of the old force in the predicted velocity, ``lambda``.
+
+    Example:
+        >>> dpd.integrators.VelocityVerlet(lam=0.65)
+        VelocityVerlet(lam=0.65)
+        >>> dpd.step(water, state, key, 0.01, integrator=dpd.integrators.VelocityVerlet(lam=0.65))
+        State(192 beads, box 4 x 4 x 4, step 201, time 2.01)
     """
 
     ranks = {"lam": 0}
@@ -158,12 +182,20 @@ class VelocityVerlet(Integrator):
 class Drift(NamedTuple):
     """What a step knows once beads have moved and before new forces act, by component (3, n).
 
-    ``predicted(lam)`` is ``(carried + lam kick).T``, (n, 3) as :func:`forces_on` takes it.
+    ``predicted(lam)`` is ``(carried + lam kick).T``, (n, 3) as :func:`dpdjax.integrators.forces_on`
+    takes it.
 
     Attributes:
         carried: peculiar velocities, less what the flow gains where beads have moved to.
         kick: ``dt f / m`` of the old force.
         spin_kick: ``dt T / I`` of the old torque (m, 3), or None.
+
+    Example:
+        >>> moved, drift = dpd.integrators.drifted(rest.system, rest.final, 0.5)
+        >>> drift.carried.shape, drift.kick.shape, drift.spin_kick is None
+        ((3, 192), (3, 192), True)
+        >>> drift.predicted(0.5).shape
+        (192, 3)
     """
 
     carried: Any
@@ -178,15 +210,22 @@ class Drift(NamedTuple):
 def drifted(system, state: State, lam: ArrayLike) -> tuple[State, Drift]:
     """The beads moved by their velocities and old forces, lists and noise those of the next step.
 
-    The state's ``step`` is one more, and :func:`forces_on` draws the noise of that step; the old
-    force had that of the one before. ``lam`` matters to angular velocities alone, which are those
-    of the state that drag is of; :meth:`Drift.predicted` has the others.
+    The state's ``step`` is one more, and :func:`dpdjax.integrators.forces_on` draws the noise of
+    that step; the old force had that of the one before. ``lam`` matters to angular velocities
+    alone, which are those of the state that drag is of; ``Drift.predicted`` has the others.
 
     The streaming velocity at a bead changes as the bead moves in y, so the peculiar velocity loses
     ``rate dy`` along x: in steady shear the exact rewriting of the lab-frame step, with no jump
     when a bead crosses the boundary. Where the rate changes, the whole box follows at once (SLLOD).
     Spheres are turned, and have their angular velocity predicted by ``lam``. Where the sides of the
     box change in this step they do so here, before the new forces.
+
+    Returns the state moved on and a :class:`dpdjax.integrators.Drift`.
+
+    Example:
+        >>> moved, drift = dpd.integrators.drifted(rest.system, rest.final, 0.5)
+        >>> int(moved.step - rest.final.step), round(float(moved.time - rest.final.time), 4)
+        (1, 0.01)
     """
     # By component, (3, n): XLA vectorises along the beads, and along three numbers it cannot.
     dt, mass, velocity = system.dt, masses(system.fluid, state)[None], state.velocity.T
@@ -214,7 +253,15 @@ def carried_along(system, state: State, velocity, move) -> tuple[State, Any]:
 def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -> State:
     """The end of a step: velocities by the mean of the old and the new kick, and the new forces.
 
-    To keep another force for the next step, give the result to :func:`with_forces`.
+    To keep another force for the next step, give the result to
+    :func:`dpdjax.integrators.with_forces`.
+
+    Example:
+        >>> system, before = rest.system, rest.final
+        >>> moved, drift = dpd.integrators.drifted(system, before, 0.5)
+        >>> acts = dpd.integrators.forces_on(system, moved, drift.predicted(0.5), key, True)
+        >>> dpd.integrators.settled(system, before, moved, drift, acts)
+        State(192 beads, box 4 x 4 x 4, step 401, time 4.01)
     """
     dt, fluid = system.dt, system.fluid
     mass = masses(fluid, before)[None]
@@ -227,7 +274,15 @@ def settled(system, before: State, moved: State, drift: Drift, forces: Forces) -
 
 
 def with_forces(state: State, forces: Forces) -> State:
-    """The state with these forces as its last; sums over pairs that they lack stay as they were."""
+    """The state with these forces as its last; sums over pairs that they lack stay as they were.
+
+    Example:
+        >>> now, kinds = rest.final, ("conservative",)
+        >>> acts = dpd.integrators.forces_on(rest.system, now, now.velocity, key, True, kinds)
+        >>> after = dpd.integrators.with_forces(now, acts)
+        >>> bool((after.force == acts.force).all()), bool((after.velocity == now.velocity).all())
+        (True, True)
+    """
     rotation, tally = state.rotation, state.tally if forces.tally is None else forces.tally
     if rotation is not None:
         rotation = dataclasses.replace(rotation, torque=forces.torque)

@@ -43,6 +43,14 @@ def pressure_tensor(fluid: Fluid, state: State, parts: tuple[str, ...] = SMOOTH)
             the whole flux of momentum is integrated over time.
 
     Raises ValueError for another part.
+
+    Example:
+        >>> p = dpd.observe.pressure_tensor(water, rest.final)
+        >>> p.shape, bool(18.0 < jnp.trace(p) / 3 < 30.0)
+        ((3, 3), True)
+        >>> ideal = dpd.observe.pressure_tensor(water, rest.final, ("kinetic",))
+        >>> bool(1.8 < jnp.trace(ideal) / 3 < 4.2)  # density kT, 3
+        True
     """
     wanted = {origin for part in parts for origin in _origins(fluid, part)}
     return sum(p for origin, p in _by_origin(fluid, state).items() if origin in wanted)
@@ -68,20 +76,45 @@ def _by_origin(fluid, state) -> dict:
 
 
 def temperature(fluid: Fluid, state: State) -> jax.Array:
-    """Kinetic temperature ``sum m c^2 / (3 n - 3)`` [energy]; three momenta are fixed."""
+    """Kinetic temperature ``sum m c^2 / (3 n - 3)`` [energy]; three momenta are fixed.
+
+    Example:
+        >>> bool(0.6 < dpd.observe.temperature(water, rest.final) < 1.4)
+        True
+        >>> rest.frames["temperature"].shape  # it is among the standard ones
+        (40,)
+    """
     twice = jnp.sum(masses(fluid, state)[:, None] * state.velocity**2)
     return twice / (3 * state.position.shape[0] - 3)
 
 
 def rotational_temperature(fluid: Fluid, state: State) -> jax.Array:
-    """``sum I omega^2 / 3 m`` of the m beads that rotate [energy]; ValueError where none does."""
+    """``sum I omega^2 / 3 m`` of the m beads that rotate [energy]; ValueError where none does.
+
+    Example:
+        >>> fluid, now = marble.fluid, turning.final
+        >>> inertia = dpd.integrators.inertias(fluid, now)
+        >>> T = (inertia[:, None] * now.rotation.velocity**2).mean()
+        >>> bool(jnp.allclose(dpd.observe.rotational_temperature(fluid, now), T))
+        True
+    """
     rotation = _rotation(state)
     return jnp.mean(inertias(fluid, state)[:, None] * rotation.velocity**2)
 
 
 def rotations(fluid: Fluid, state: State) -> dict:
-    """Angular velocities, torques and orientations of the beads that rotate; ValueError where none
-    does."""
+    """Angular velocities (m, 3) [1 / time], torques (m, 3) [energy] and orientations (m, 4), unit
+    quaternions with the scalar first, of the m beads that rotate.
+
+    Raises ValueError where none does.
+
+    Example:
+        >>> now = dpd.observe.rotations(marble.fluid, turning.final)
+        >>> {name: values.shape for name, values in now.items()}
+        {'angular_velocity': (1, 3), 'torque': (1, 3), 'orientation': (1, 4)}
+        >>> turning.frames["orientation"].shape
+        (40, 1, 4)
+    """
     rotation = _rotation(state)
     return {
         "angular_velocity": rotation.velocity,
@@ -99,13 +132,23 @@ def _rotation(state):
 
 
 def momentum(fluid: Fluid, state: State) -> jax.Array:
-    """Total peculiar momentum (3,)."""
+    """Total peculiar momentum (3,) [mass length / time].
+
+    Example:
+        >>> bool(jnp.abs(dpd.observe.momentum(water, rest.final)).max() < 1e-2)
+        True
+    """
     return jnp.sum(masses(fluid, state)[:, None] * state.velocity, axis=0)
 
 
 def standard(fluid: Fluid, state: State) -> dict:
-    """What a run records unless told otherwise: ``temperature``, ``pressure_tensor``,
-    ``potential_energy``, ``momentum``."""
+    """What a run records unless told otherwise: ``temperature`` [energy], ``pressure_tensor`` (3,
+    3) [energy / volume], ``potential_energy`` [energy], ``momentum`` (3,).
+
+    Example:
+        >>> sorted(dpd.observe.standard(water, rest.final))
+        ['momentum', 'potential_energy', 'pressure_tensor', 'temperature']
+    """
     return {
         "temperature": temperature(fluid, state),
         "pressure_tensor": pressure_tensor(fluid, state),
@@ -115,16 +158,32 @@ def standard(fluid: Fluid, state: State) -> dict:
 
 
 def stresses(fluid: Fluid, state: State) -> dict:
-    """The pressure tensor by origin under the names ``pressure_kinetic`` and so on."""
+    """The pressure tensor by origin, (3, 3) each [energy / volume], under the names
+    ``pressure_kinetic`` and so on: ``conservative``, ``drag``, ``random``, and what terms have
+    names for.
+
+    Example:
+        >>> sorted(dpd.observe.stresses(water, rest.final))
+        ['pressure_conservative', 'pressure_drag', 'pressure_kinetic', 'pressure_random']
+        >>> sorted(set(dpd.observe.stresses(made.fluid, gel.final)) - set(rest.frames))
+        ['pressure_colloid', 'pressure_contact', 'pressure_lubrication']
+    """
     return {f"pressure_{origin}": p for origin, p in _by_origin(fluid, state).items()}
 
 
 def positions(fluid: Fluid, state: State) -> dict:
-    """Wrapped and unwrapped positions, images, velocities, and the ``strain`` and ``lengths`` of
-    the box, for structure and diffusion.
+    """Wrapped and unwrapped positions, images, velocities, (n, 3) each, and the ``strain`` and
+    ``lengths`` of the box, for structure and diffusion.
 
     Measures unwrap by the images, in double precision: far from where it began a bead's single one
     moves in jumps.
+
+    Example:
+        >>> now = dpd.observe.positions(water, rest.final)
+        >>> sorted(now)
+        ['image', 'lengths', 'position', 'strain', 'unwrapped', 'velocity']
+        >>> rest.frames["unwrapped"].shape
+        (40, 192, 3)
     """
     of_beads = {
         "position": state.position,
@@ -136,17 +195,28 @@ def positions(fluid: Fluid, state: State) -> dict:
 
 
 def box(fluid: Fluid, state: State) -> dict:
-    """The box: its ``lengths`` (3,) [length] and its ``strain``."""
+    """The box: its ``lengths`` (3,) [length] and its ``strain``.
+
+    Example:
+        >>> now = dpd.observe.box(water, sheared.final)
+        >>> now["lengths"].tolist(), round(float(now["strain"]), 3)
+        ([4.0, 4.0, 4.0], 0.4)
+    """
     return {"strain": state.box.strain, "lengths": state.box.lengths}
 
 
 @functools.cache
 def positions_of(species: int) -> Callable:
-    """An observable like :func:`positions` of the beads of one species alone, with the ``strain``
-    and the ``lengths`` of the box.
+    """An observable like :func:`dpdjax.observe.positions` of the beads of one species alone, with
+    the ``strain`` and the ``lengths`` of the box.
 
-    A run raises ValueError where no interaction of the fluid has
-    this species as a group of its own.
+    A run raises ValueError where no interaction of the fluid has this species as a group of its
+    own.
+
+    Example:
+        >>> colloids = dpd.observe.positions_of(1)(made.fluid, gel.final)
+        >>> colloids["position"].shape, gel.frames["position"].shape
+        ((16, 3), (24, 16, 3))
     """
 
     def positions_of_species(fluid, state) -> dict:
@@ -164,10 +234,17 @@ def sizes_of(ids: ArrayLike) -> Callable:
     """An observable of molecules of one kind, the means over them of ``squared_gyration`` and of
     ``squared_end_to_end``, from the first bead to the last [length^2].
 
-    ``ids`` (molecules, beads), as ``dpd.molecules`` returns them; beads that follow one another in
-    a row are taken for nearest images, and all for equally heavy. ``dpd.measure.end_to_end`` and
-    ``radius_of_gyration`` read the same off recorded positions; this is for gradients, and goals of
-    ``calibrate``. Raises ValueError for ids of another shape.
+    ``ids`` (molecules, beads), as :func:`dpdjax.molecules` returns them; beads that follow one
+    another in a row are taken for nearest images, and all for equally heavy.
+    :func:`dpdjax.measure.end_to_end` and :func:`dpdjax.measure.radius_of_gyration` read the same
+    off recorded positions; this is for gradients, and goals of ``calibrate``. Raises ValueError for
+    ids of another shape.
+
+    Example:
+        >>> sizes = dpd.observe.sizes_of(melt.ids["A5"])  # for observe=
+        >>> now = sizes(melt.fluid, chains.final)
+        >>> sorted(now), bool(0.4 < now["squared_gyration"] < 1.2)
+        (['squared_end_to_end', 'squared_gyration'], True)
     """
     ids = np.asarray(ids)
     if ids.ndim != 2 or ids.shape[1] < 2 or ids.dtype.kind not in "iu":
@@ -217,7 +294,12 @@ def _geometries(fluid, state):
 def configurational_temperature(fluid: Fluid, state: State) -> jax.Array:
     """``<|grad U|^2> / <laplacian U>`` [energy] (Rugh 1997; Butler et al. 1998).
 
-    A thermometer that never looks at velocities. Needs a conservative force.
+    A thermometer that never looks at velocities. Needs a conservative force. Right on average over
+    many frames, of a few hundred beads to a tenth in each.
+
+    Example:
+        >>> bool(0.5 < dpd.observe.configurational_temperature(water, rest.final) < 1.5)
+        True
     """
     n = state.position.shape[0]
     gradient, laplacian = jnp.zeros_like(state.position), 0.0
@@ -238,11 +320,17 @@ def configurational_temperature(fluid: Fluid, state: State) -> jax.Array:
 
 
 def instantaneous_viscosity(fluid: Fluid, state: State) -> jax.Array:
-    """``sum zeta r^2 e_x^2 e_y^2 / V``: the part of the viscosity with no delay.
+    """``sum zeta r^2 e_x^2 e_y^2 / V`` [energy time / volume]: the part of the viscosity with no
+    delay.
 
     The mean over all off-diagonals; the response of the drag stress to a sudden shear. Across the
     line of centres it is ``sum zeta r^2 e_y^2 (1 - e_x^2) / V``; spheres that rotate go on as they
     did.
+
+    Example:
+        >>> eta = dpd.observe.instantaneous_viscosity(water, rest.final)
+        >>> bool(0.5 < eta / dpd.theory.drag_viscosity(water, 3.0) < 1.5)
+        True
     """
     total = 0.0
     for interaction, pairs in _geometries(fluid, state):

@@ -45,6 +45,14 @@ def pressure_in_slabs(bins: int = 50, axis: str = "z") -> Callable:
 
     Raises ValueError for fewer slabs or another axis. Slabs across x of a box that is tilted do not
     repeat with it, and are NaN.
+
+    Example:
+        >>> slabs = dpd.observe.pressure_in_slabs(8)(water, rest.final)["pressure_profile"]
+        >>> slabs.shape
+        (8, 3)
+        >>> p = dpd.observe.pressure_tensor(water, rest.final, ("kinetic", "conservative"))
+        >>> bool(jnp.allclose(slabs.mean(axis=0), jnp.diagonal(p)[jnp.array([2, 0, 1])], rtol=1e-3))
+        True
     """
     bins, components = whole(bins, "bins", least=2), AXES[choice(axis, AXES, "axis")]
     slabs = functools.partial(_Slabs, bins, components)

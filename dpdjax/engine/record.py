@@ -13,13 +13,27 @@ from dpdjax.engine.observables import standard
 
 @dataclasses.dataclass(frozen=True)
 class Recorder:
-    """An observable, and whether it is sampled, averaged or integrated over a frame."""
+    """An observable, and whether it is sampled, averaged or integrated over a frame.
+
+    Attributes:
+        observe: a function ``observe(fluid, state)``, of arrays by name or one array.
+        how: ``"last"``, the value at the end of the frame; ``"mean"`` or ``"integral"``, over every
+            step of its interval.
+
+    Example:
+        >>> averaged = dpd.mean(dpd.observe.standard)
+        >>> averaged.how, averaged.accumulates
+        ('mean', True)
+        >>> sorted(averaged.now(water, rest.final))
+        ['momentum', 'potential_energy', 'pressure_tensor', 'temperature']
+    """
 
     observe: Callable
     how: str = "last"
 
     @property
     def accumulates(self) -> bool:
+        """Whether it looks at every step, and not at the last of a frame alone."""
         return self.how != "last"
 
     def zero(self, fluid, state):
@@ -76,12 +90,29 @@ def averaged(how: list[Recorder], fluid, state) -> tuple[str, ...]:
 
 
 def mean(observe: Callable) -> Recorder:
-    """Record the mean of an observable over every step of a frame's interval."""
+    """Record the mean of an observable over every step of a frame's interval.
+
+    Returns a :class:`dpdjax.observe.Recorder`, for ``observe=``. Stresses, which fluctuate much,
+    are best recorded so.
+
+    Example:
+        >>> seen = [dpd.mean(dpd.observe.standard), dpd.observe.positions]  # for observe=
+        >>> seen[0].how
+        'mean'
+    """
     return Recorder(observe, "mean")
 
 
 def integral(observe: Callable) -> Recorder:
-    """Record the time integral of an observable over every step of a frame's interval."""
+    """Record the time integral of an observable over every step of a frame's interval.
+
+    Returns a :class:`dpdjax.observe.Recorder`, for ``observe=``.
+
+    Example:
+        >>> flux = dpd.integral(dpd.observe.pressure_tensor)  # for observe=
+        >>> flux.how, list(flux.now(water, rest.final))  # what goes by the name of its function
+        ('integral', ['pressure_tensor'])
+    """
     return Recorder(observe, "integral")
 
 

@@ -48,8 +48,9 @@ class Rotation:
 
     @property
     def axis(self):
-        """The body's z-axis as the lab sees it (..., m, 3): a unit vector that turns with each
-        bead."""
+        """The body's z-axis as the lab sees it (..., m, 3), a unit vector that turns with each
+        bead.
+        """
         return axis_of(self.orientation)
 
 

@@ -51,6 +51,16 @@ def simulate(
 
     A run that fails (overflow, NaN) has ``final.status`` set and NaN in every number and
     every gradient; ``dpd.run`` repairs overflows instead.
+
+    Example:
+        >>> def temperature(gamma):
+        ...     thicker = water.set(gamma=gamma)
+        ...     return dpd.simulate(thicker, state, key, 0.01, dpd.Plan(2, 5)).frames["temperature"]
+        >>> temperature(4.5).shape
+        (2,)
+        >>> gammas = jnp.array([2.0, 4.5, 9.0])
+        >>> jax.eval_shape(jax.vmap(temperature), gammas).shape  # jax.grad goes through too
+        (3, 2)
     """
     system = System.of(fluid, dt, flow, integrator)
     state = fitted(fluid, state)
@@ -191,12 +201,21 @@ def step(
     """One step, for a loop of one's own: pure, so ``jit``, ``vmap`` and ``grad`` go through.
 
     Lists are kept up to date and the sums over pairs are in ``state.tally``, so that observables
-    may be called. ``n`` of these are the ``n`` steps of :func:`simulate`, up to rounding. Check
-    ``state.status`` now and then: it is 0 while all is well, ``dpd.grow(state)`` makes room in a
-    list that overflowed.
+    may be called. ``n`` of these are the ``n`` steps of :func:`dpdjax.simulate`, up to rounding.
+    Check ``state.status`` now and then: it is 0 while all is well, ``dpd.grow(state)`` makes room
+    in a list that overflowed.
 
-    Arguments as for :func:`simulate`. What cannot run is refused at the first step of a state,
-    whose force is not yet known, or known to another integrator.
+    Arguments as for :func:`dpdjax.simulate`. What cannot run is refused at the first step of a
+    state, whose force is not yet known, or known to another integrator.
+
+    Example:
+        >>> now = state
+        >>> for _ in range(3):
+        ...     now = dpd.step(water, now, key, 0.01)
+        >>> now
+        State(192 beads, box 4 x 4 x 4, step 203, time 2.03)
+        >>> int(now.status)  # all is well
+        0
     """
     system = System.of(fluid, dt, flow, integrator)
     state = fitted(fluid, state)
@@ -226,9 +245,18 @@ def forces(
         flow: what drives the fluid.
         kinds: which of ``"conservative"``, ``"drag"``, ``"random"`` and ``"driven"``.
 
-    Returns :class:`Forces`: force (n, 3), torque (m, 3) or None, and the tally of energy and
-    virials. Pure; NaN where a list overflowed, for which ``dpd.grow(state)`` makes room. Raises
-    ValueError for an unknown kind, and as :func:`simulate` does.
+    Returns :class:`dpdjax.integrators.Forces`: force (n, 3), torque (m, 3) or None, and the tally
+    of energy and virials. Pure; NaN where a list overflowed, for which ``dpd.grow(state)`` makes
+    room. Raises ValueError for an unknown kind, and as :func:`dpdjax.simulate` does.
+
+    Example:
+        >>> acts = dpd.forces(water, state, key, 0.01)
+        >>> acts.force.shape, acts.torque is None
+        ((192, 3), True)
+        >>> bool(jnp.abs(acts.force.sum(axis=0)).max() < 1e-2)  # pairs keep momentum
+        True
+        >>> bool(acts.tally.energy > 0)
+        True
     """
     check_kinds_of_force(kinds)
     kinds = tuple(kinds)

@@ -35,8 +35,8 @@ class State:
 
     Attributes:
         position: wrapped Cartesian positions (n, 3), 0 to the side along each axis [length].
-        velocity: peculiar velocities, the streaming velocity taken off, (n, 3).
-        force: force of the last step, on which the next half kick depends, (n, 3).
+        velocity: peculiar velocities, the streaming velocity taken off, (n, 3) [length / time].
+        force: force of the last step, on which the next half kick depends, (n, 3) [force].
         image: vectors of the lattice, as it is now, that each bead was carried over since the
             start, (n, 3) int32.
         id: what the noise of a bead is keyed by, a permutation of 0 to n - 1, (n,) int32; travels
@@ -44,19 +44,30 @@ class State:
         species: index into the tables of the fluid, (n,) int32; beads of a species lie together.
         size: relative size of each bead, (n,): its radius in those of its species, the mass goes as
             the cube.
-        box: lengths and strain.
+        box: lengths and strain, a :class:`dpdjax.Box`.
         step: absolute number of the step, which keys the noise.
-        time: elapsed time, which body forces and oscillations depend on.
-        position_rest, strain_rest, time_rest: what rounding has left out of the positions (n, 3),
-            the strain of the box and the time, which grow by many small steps.
+        time: elapsed time, which body forces and oscillations depend on [time].
+        position_rest: what rounding has left out of the positions, which grow by many small
+            steps, (n, 3).
+        strain_rest: the same of the strain of the box.
+        time_rest: the same of the time.
         neighbours: one list for each interaction.
         tally: sums over pairs, for the observables.
         rotation: of the beads that rotate, or None.
-        topology: which beads are bonded, or None; see :meth:`bonded`.
-        started: which kinds of force ``force`` consists of, as bits
-            (``Integrator.mark_of``); a run
+        topology: which beads are bonded, or None; see ``State.bonded``.
+        started: which kinds of force ``force`` consists of, as bits (``Integrator.mark_of``); a run
             with an integrator of other kinds computes it first, as where it is 0.
-        status: sticky bits (``dpdjax.engine.status``).
+        status: sticky bits, 0 while all is well.
+
+    Example:
+        >>> state
+        State(192 beads, box 4 x 4 x 4, step 200, time 2)
+        >>> state.n, state.position.shape, int(state.step)
+        (192, (192, 3), 200)
+        >>> state.restarted()
+        State(192 beads, box 4 x 4 x 4, step 200, time 0)
+        >>> melt.state.topology
+        Topology(824 bond)
     """
 
     position: Any = _of_bead()
@@ -111,7 +122,7 @@ class State:
 
     @property
     def beads(self) -> dict:
-        """All that has a row for each bead, by name: what goes where a bead goes in memory."""
+        """What has a row for each bead, by name, and goes where a bead goes in memory."""
         own = [f.name for f in dataclasses.fields(self) if f.metadata.get("of_bead")]
         return {name: getattr(self, name) for name in own}
 
@@ -233,6 +244,14 @@ def grow(state: State, codes: Sequence[int] | None = None) -> State:
 
     A complete list keeps its pairs in order, so a replay is bitwise the same; one that
     overflowed is built anew.
+
+    Example:
+        >>> roomy = dpd.grow(state)
+        >>> before, after = (s.neighbours[0].list.idx.shape[1] for s in (state, roomy))
+        >>> after > before  # room for pairs
+        True
+        >>> bool((roomy.position == state.position).all())
+        True
     """
     grown = []
     for neighbours, code in zip(state.neighbours, codes or [3] * len(state.neighbours)):

@@ -7,10 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from dpdjax import drawing
-from dpdjax.checks import whole
+from dpdjax.checks import Numbers, whole
 from dpdjax.engine.batching import chosen
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.joining import joined
@@ -34,7 +33,18 @@ class Plan:
         frames: recorded frames.
         every: steps between two frames; None where they are not evenly spaced.
         schedule: the steps, counted from the start, at which frames are that are not evenly spaced;
-            see :meth:`at` and :meth:`logarithmic`.
+            see ``Plan.at`` and ``Plan.logarithmic``.
+
+    Raises ValueError for numbers below 1 and steps that do not rise.
+
+    Example:
+        >>> plan = dpd.Plan(frames=40, every=5)
+        >>> plan.steps, plan.every
+        (200, 5)
+        >>> dpd.Plan.over(time=10.0, dt=0.01, frames=100)
+        Plan(frames=100, every=10, schedule=())
+        >>> dpd.Plan.logarithmic(1000, per_decade=3).schedule
+        (1, 2, 5, 10, 22, 46, 100, 215, 464, 1000)
     """
 
     frames: int
@@ -49,7 +59,7 @@ class Plan:
             object.__setattr__(self, name, whole(getattr(self, name), f"Plan {name}"))
 
     @classmethod
-    def at(cls, steps: ArrayLike) -> "Plan":
+    def at(cls, steps: Numbers) -> "Plan":
         """Frames after these numbers of steps from the start, which rise; of times they are
         ``np.unique(np.rint(times / dt))``.
 
@@ -137,6 +147,16 @@ class Trajectory:
         means: names of those frames that are means over their interval (static).
         failed: of a batch, the members that failed and why (static); their frames are NaN from then
             on, and their final state is the last that was sound.
+
+    Example:
+        >>> rest.frames["temperature"].shape, rest.frames["position"].shape
+        ((40,), (40, 192, 3))
+        >>> round(float(rest.interval), 3), rest.complete, rest.is_batch
+        (0.05, True, False)
+        >>> rest.final
+        State(192 beads, box 4 x 4 x 4, step 400, time 4)
+        >>> rest.last(10).frames["time"].shape
+        (10,)
     """
 
     final: State
@@ -212,8 +232,8 @@ class Trajectory:
         """The numbers, vectors and tensors of each frame as a ``pandas.DataFrame``, a column for
         each component (``pressure_tensor_xy``), by ``time``; of a batch by ``member`` and ``time``.
 
-        What was recorded of each bead is left out, :meth:`to_xarray` has it. Raises ImportError,
-        with the cure, where pandas is missing.
+        What was recorded of each bead is left out, ``to_xarray`` has it. Raises ImportError, with
+        the cure, where pandas is missing.
         """
         return to_pandas(self)
 
@@ -267,6 +287,7 @@ class Trajectory:
 
     @property
     def is_batch(self) -> bool:
+        """Whether there are several members, each with its own frames and final state."""
         return jnp.ndim(self.final.position) == 3
 
     def __getitem__(self, which) -> "Trajectory":

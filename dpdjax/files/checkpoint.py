@@ -32,6 +32,13 @@ class Checkpoint:
     Attributes:
         folder: of its own; made where there is none.
         seconds: between two savings at least; the run is saved when it ends or is stopped too.
+
+    Example:
+        >>> saved, plan = dpd.Checkpoint("saved", seconds=600), dpd.Plan(40, 5)
+        >>> ran = dpd.run(water, state, key, 0.01, plan, observe=seen, checkpoint=saved, **quiet)
+        >>> again = dpd.run(water, state, key, 0.01, plan, observe=seen, checkpoint=saved, **quiet)
+        >>> bool(np.all(again.final.position == ran.final.position))  # read, not run again
+        True
     """
 
     folder: str | os.PathLike

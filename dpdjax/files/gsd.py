@@ -54,6 +54,14 @@ class GSD:
             beads, or begin it.
         species: the only one whose beads are written, such as 1 for colloids alone; all by default.
         about: what else the first frame is to tell, that JSON holds.
+
+    Example:
+        >>> file = dpd.GSD("water.gsd", mode="w", about={"sample": "water"})
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(40, 5), observe=seen, out=file, **quiet)
+        >>> ran.frames["position"].shape  # read from the file when asked for
+        (40, 192, 3)
+        >>> dpd.load_gsd("water.gsd", frame=0, fluid=water).n
+        192
     """
 
     path: str | os.PathLike
@@ -82,7 +90,16 @@ class GSD:
 
 
 def gsd_record(fluid: Fluid, state: State) -> dict:
-    """What a frame of a GSD file holds; give it to ``observe=``."""
+    """What a frame of a GSD file holds; give it to ``observe=``.
+
+    ``position``, ``velocity`` and ``image`` (n, 3), the sides of the box ``lengths`` (3,) and its
+    ``strain``; of beads that rotate ``orientation`` (m, 4) and ``angular_velocity`` (m, 3) too.
+
+    Example:
+        >>> recorded = dpd.observe.gsd_record(water, state)
+        >>> sorted(recorded)
+        ['image', 'lengths', 'position', 'strain', 'velocity']
+    """
     beads = {
         "position": state.position,
         "velocity": state.velocity,
@@ -121,7 +138,7 @@ def gsd_writer(
     untold: Iterable[str] = (),
 ) -> Iterator[Callable]:
     """Opens a GSD file; gives ``write(frames, flow)``, which appends the frames of a run that
-    recorded :func:`gsd_record`.
+    recorded :func:`dpdjax.observe.gsd_record`.
 
     What was written is in the file when ``write`` returns: a process killed later loses nothing of
     it.
@@ -148,6 +165,12 @@ def gsd_writer(
     Raises ImportError where the package ``gsd`` is missing, FileExistsError by ``"x"`` for a file
     that is there, ValueError by ``"r+"`` for one of other beads or another box; FileError where the
     file cannot be written.
+
+    Example:
+        >>> with dpd.gsd_writer("rest.gsd", water, state) as write:
+        ...     write(rest.frames)
+        >>> dpd.load_gsd("rest.gsd", fluid=water).n
+        192
     """
     hoomd = hoomd_files()
     if mode == "x":
@@ -285,6 +308,13 @@ def write_gsd(path: str | os.PathLike, trajectory: Trajectory, *, overwrite: boo
 
     Raises ValueError for a batch or a run that recorded something else, FileExistsError for a file
     that is there, which ``overwrite=True`` replaces.
+
+    Example:
+        >>> dpd.write_gsd("rest.gsd", rest)
+        >>> import gsd.hoomd
+        >>> with gsd.hoomd.open("rest.gsd") as file:
+        ...     len(file), int(file[-1].particles.N)
+        (40, 192)
     """
     if trajectory.is_batch:
         raise ValueError(

@@ -60,16 +60,28 @@ def load_lammps(
         fluid: what the beads are.
         atom_style: ``"atomic"``, ``"charge"``, ``"bond"``, ``"angle"``, ``"molecular"`` or
             ``"full"``; by default what the file says behind ``Atoms #``.
-        flow: what streams, at rest in the middle of the box; its velocities are taken off.
+        flow: what streams; its velocities are taken off, and with them what drifts along it, since
+            LAMMPS has the flow at rest where its own history left it. Written during a run, the
+            file wants ``write_data ... noinit``: without, atoms beyond an edge are put back
+            without the step of their velocity.
         groups: by the names of the types in the fluid the atoms that are bonded, by their places in
             the order of their ids, from 0, in place of what the file says; ``{}`` for none.
         exclude: pairs up to so many bonds apart do not act on each other, as for
-            :meth:`State.bonded` (LAMMPS: ``special_bonds``).
+            :meth:`dpdjax.State.bonded` (LAMMPS: ``special_bonds``).
         skin, dt, sheared: of the lists, as for :func:`dpdjax.initial_state`.
 
     Raises FileError for a damaged file or one that is none; ValueError for a style of atoms that is
     not known, types, masses or bonds that are not those of the fluid, a box tilted otherwise than
     along xy.
+
+    Example:
+        >>> lines = ["two atoms", "", "2 atoms", "1 atom types", ""]
+        >>> lines += [f"0 4 {axis}lo {axis}hi" for axis in "xyz"]
+        >>> lines += ["", "Atoms # atomic", "", "1 1 0.5 0.5 0.5", "2 1 1.5 0.5 0.5"]
+        >>> with open("two.data", "w") as file:
+        ...     print(*lines, sep=chr(10), file=file)
+        >>> dpd.load_lammps("two.data", fluid=water).position.tolist()
+        [[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]]
     """
     check_fluid(fluid)
     choice(atom_style, (None, *COLUMNS), "atom_style")
@@ -219,8 +231,10 @@ class DataFile:
         """The atoms in a box that streams at a rate."""
         corner, lengths, strain = self.box()
         place = atoms.position - corner
-        velocity = self._velocities(atoms.ids)
-        velocity[:, 0] -= rate * (place[:, 1] - 0.5 * lengths[1])
+        velocity, mass = self._velocities(atoms.ids), self._masses(atoms.types)
+        if rate:
+            velocity[:, 0] -= rate * place[:, 1]
+            velocity[:, 0] -= np.average(velocity[:, 0], weights=mass)
         position, crossed = wrapped(place, lengths, strain, np.dtype(jnp.result_type(float)))
         return Configuration(
             lengths,
@@ -230,7 +244,7 @@ class DataFile:
             atoms.image + crossed,
             atoms.types - 1,
             [str(k + 1) for k in range(atoms.types.max(initial=0))],
-            self._masses(atoms.types),
+            mass,
         )
 
     def _velocities(self, ids) -> np.ndarray:

@@ -55,12 +55,20 @@ def load_gsd(
         groups: by the names of the types in the fluid the beads that are bonded, by their rows in
             the file, in place of what the file says of bonds; ``{}`` for none.
         exclude: pairs up to so many bonds apart do not act on each other, as for
-            :meth:`State.bonded`; the file does not say.
+            :meth:`dpdjax.State.bonded`; the file does not say.
         skin, dt, sheared: of the lists, as for :func:`dpdjax.initial_state`.
 
     Raises FileError for a damaged file or one that is none; ValueError for a frame that is not
     there, types, masses or bonds that are not those of the fluid, a box tilted otherwise than along
     xy.
+
+    Example:
+        >>> dpd.write_gsd("rest.gsd", rest)
+        >>> last = dpd.load_gsd("rest.gsd", fluid=water)
+        >>> last
+        State(192 beads, box 4 x 4 x 4, step 400, time 4)
+        >>> dpd.load_gsd("rest.gsd", frame=0, fluid=water).step.item()
+        205
     """
     check_fluid(fluid)
     whole(exclude, "exclude", least=0)

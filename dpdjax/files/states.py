@@ -58,6 +58,11 @@ def save_state(path: str | os.PathLike, state: State) -> None:
 
     A run goes on from it exactly, given the key it was started with. A file of that name is
     replaced when the new one is whole.
+
+    Example:
+        >>> dpd.save_state("state.npz", state)
+        >>> bool(np.all(dpd.load_state("state.npz").velocity == state.velocity))
+        True
     """
     save(path, state, {}, np.savez_compressed)
 
@@ -66,6 +71,11 @@ def load_state(path: str | os.PathLike) -> State:
     """Read what ``save_state`` wrote.
 
     Raises ValueError where the file is no such state, or needs float64 that is off.
+
+    Example:
+        >>> dpd.save_state("state.npz", state)
+        >>> dpd.load_state("state.npz")
+        State(192 beads, box 4 x 4 x 4, step 200, time 2)
     """
     return load(path)[0]
 

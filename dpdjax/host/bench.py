@@ -61,6 +61,11 @@ def bench(
     ``compile_seconds``, ``peak_memory_bytes`` (of the device; of the process on a CPU),
     ``device`` and what was run; with ``tangent``, ``tangent_over_primal`` too. Raises ValueError
     for numbers that cannot be.
+
+    Example:
+        >>> speed = dpd.bench(water, key, beads=192, dt=0.01, steps=10, repeats=1)
+        >>> speed["particle_steps_per_second"] > 1e3, speed["beads"]
+        (True, 192)
     """
     counts = {"beads": beads, "batch": batch, "repeats": repeats}
     beads, batch, repeats = (whole(value, name) for name, value in counts.items())

@@ -22,6 +22,13 @@ def compilation_cache(folder: str | os.PathLike | None = None) -> str:
         folder: by default ``dpdjax`` in the user's folder for caches (``XDG_CACHE_HOME``,
             ``~/.cache``), with a folder inside for each kind of processor, since programs of one
             need not run on another.
+
+    Example:
+        >>> before = jax.config.jax_compilation_cache_dir
+        >>> folder = dpd.compilation_cache("programs")
+        >>> jax.config.jax_compilation_cache_dir == folder
+        True
+        >>> jax.config.update("jax_compilation_cache_dir", before)
     """
     if "jax" not in sys.modules:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

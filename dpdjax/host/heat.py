@@ -6,7 +6,7 @@ import numpy as np
 
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.observables import temperature
-from dpdjax.measure.needs import HOT, is_off, trend
+from dpdjax.measure.needs import HOT, doubt, is_off, trend
 
 FLUCTUATIONS = 5.0
 """Standard deviations of the temperature of few beads that are no excess."""
@@ -30,7 +30,8 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
     recorded = np.atleast_2d(np.asarray(trajectory.frames.get("temperature", np.nan), float))
     recorded = np.broadcast_to(recorded, (len(last), recorded.shape[1]))
     allowed = 1.0 + HOT + FLUCTUATIONS * np.sqrt(2.0 / (3 * state.n - 3))
-    told = [_told(*of, allowed, trajectory.flow) for of in zip(last, kT, recorded)]
+    chance = doubt(trajectory, recorded.shape[1] // 2)
+    told = [_told(*of, allowed, chance, trajectory.flow) for of in zip(last, kT, recorded)]
     excess = [abs(found[0]) if found else 0.0 for found in told]
     if any(told):
         worst = int(np.argmax(excess))
@@ -38,7 +39,7 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
         warnings.warn(member + told[worst][1], stacklevel=stacklevel)
 
 
-def _told(last: float, kT: float, recorded, allowed: float, flow):
+def _told(last: float, kT: float, recorded, allowed: float, chance: float, flow):
     """The excess over kT and what to say of it; None where there is none."""
     later = recorded[len(recorded) // 2 :]
     if np.isfinite(last) and kT > 0 and last > allowed * kT:
@@ -47,7 +48,7 @@ def _told(last: float, kT: float, recorded, allowed: float, flow):
             f"= {kT:.3g}"
         )
         return last / kT - 1, f"{ends}: {_cause(flow, trend(recorded))}"
-    steady = None if len(later) < FEW or trend(later) else is_off(later, kT)
+    steady = None if len(later) < FEW or trend(later) else is_off(later, kT, chance)
     if steady is None:
         return None
     stays = (

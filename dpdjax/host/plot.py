@@ -37,6 +37,11 @@ def plot_run(trajectory: Trajectory, axes: Any = None) -> np.ndarray:
 
     Returns the axes (panels,). Raises ValueError where none of these was recorded, or for another
     number of axes.
+
+    Example:
+        >>> axes = dpd.plot_run(rest)
+        >>> axes.shape  # temperature, pressure, energy, momentum
+        (4,)
     """
     drawn = [name for name in PANELS if name in trajectory.frames]
     if not drawn:
@@ -93,6 +98,11 @@ def plot_profile(trajectory: Trajectory, ax: Any = None, **how) -> Any:
     """Measure the velocity and temperature across the gap of a run and draw them; returns the axes.
 
     ``how`` and errors are those of :func:`dpdjax.measure.velocity_profile`.
+
+    Example:
+        >>> ax = dpd.plot_profile(sheared, bins=4)
+        >>> ax.get_xlabel()
+        'y [length]'
     """
     return velocity_profile(trajectory, **how).plot(ax)
 
@@ -107,6 +117,13 @@ def plot_flow_curve(table: Any, ax: Any = None) -> Any:
         ax: matplotlib axes, or None for new ones.
 
     Returns the axes. Raises ValueError for a table without these.
+
+    Example:
+        >>> def thinning(key, rate):
+        ...     return {"viscosity": dpd.Estimate(1 / (1 + rate), 0.01)}
+        >>> table = dpd.scan(thinning, {"rate": [0.1, 1.0, 10.0]}, key=key, **quiet)
+        >>> dpd.plot_flow_curve(table).get_xscale()
+        'log'
     """
     if "status" in table and not (table["status"] == 1).any():
         raise ValueError("no run of the table is done, see its status and reason")
@@ -152,6 +169,10 @@ def plot_box(
         axis: 0, 1 or 2, the direction one looks along.
 
     Returns the axes. Raises ValueError for a batch, another colour, no gap where one is needed.
+
+    Example:
+        >>> ax = dpd.plot_box(gel.final, fluid=made.fluid, colour="contacts")
+        >>> ax.figure.savefig("gel.png")
     """
     if np.ndim(state.position) != 2:
         raise ValueError("the state is a batch; draw one member, trajectory[0].final")

@@ -64,7 +64,8 @@ def run(
         out: a GSD file, such as ``"run.gsd"``, or ``dpd.GSD(...)``, of one run.
         checkpoint: a folder of the run's own, or ``dpd.Checkpoint(...)``.
         hours: of wall time after which the run ends, as after Ctrl-C.
-        callback: called with each :class:`Piece` as it comes, for plots on the way.
+        callback: called with each ``Piece`` as it comes (its ``state`` and ``frames``), for plots
+            on the way.
 
     Raises:
         ValueError, TypeError: before the work starts, for arguments that cannot work.
@@ -73,6 +74,13 @@ def run(
         RunError: positions that became NaN, beads that ran away, in the run or in all members; its
             ``trajectory`` holds the frames before.
         Stopped: after SIGTERM, with ``checkpoint`` or ``out``.
+
+    Example:
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(40, 5), observe=seen, progress=False)
+        >>> ran.frames["position"].shape, ran.complete
+        ((40, 192, 3), True)
+        >>> bool(np.all(ran.frames["position"] == rest.frames["position"]))  # the same key
+        True
     """
     system = System.of(fluid, dt, flow, integrator)
     out, checkpoint = GSD.of(out), Checkpoint.of(checkpoint)

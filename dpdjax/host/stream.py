@@ -70,17 +70,25 @@ def stream(
     integrator: Integrator | None = None,
     piece: int | None = None,
 ) -> Iterator[Piece]:
-    """:func:`dpdjax.run` piece by piece, for what is to be written, drawn or stopped on the way.
+    """Run piece by piece, for what is to be written, drawn or stopped on the way.
 
-    Lists that overflow are grown and a piece is replayed, as in :func:`dpdjax.run`; nothing is kept
-    and nothing is printed.
+    As in :func:`dpdjax.run` lists that overflow are grown and a piece is replayed; but nothing is
+    kept, and nothing is printed.
 
     Args:
         fluid, state, key, dt, plan, flow, observe, integrator: as for :func:`dpdjax.run`.
         piece: frames in each piece; by default about half a second's worth.
 
-    Returns an iterator of :class:`Piece`. Raises as :func:`dpdjax.run` does: what cannot work at
-    the call, RunError without a trajectory on the way.
+    Returns an iterator of ``Piece``: ``state`` after its last frame, ``frames`` by name, and
+    ``failed``, of a batch the members that failed so far and why. Raises as :func:`dpdjax.run`
+    does: what cannot work at the call, RunError without a trajectory on the way.
+
+    Example:
+        >>> pieces = dpd.stream(water, state, key, 0.01, dpd.Plan(80, 5), observe=seen, piece=40)
+        >>> for piece in pieces:
+        ...     print(len(piece.frames["temperature"]), piece.state)
+        40 State(192 beads, box 4 x 4 x 4, step 400, time 4)
+        40 State(192 beads, box 4 x 4 x 4, step 600, time 6)
     """
     job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe, stacklevel=2)
     return job.pieces(size=piece)

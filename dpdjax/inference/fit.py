@@ -85,8 +85,18 @@ def fit(
         executor, hours, progress: as for :func:`dpdjax.scan`.
         report: ``report(text)`` is told of the progress.
 
-    Returns a :class:`Fit`. Raises ValueError, TypeError for data, priors and models that do not go
-    together, before anything runs; RunError where most runs fail or time is up.
+    Returns a ``Fit``: the posterior in ``estimates``, ``interval(name)`` and ``draws``. Raises
+    ValueError, TypeError for data, priors and models that do not go together, before anything runs;
+    RunError where most runs fail or time is up.
+
+    Example:
+        >>> def thickness(key, gamma):
+        ...     eta = 0.5 * gamma**0.5
+        ...     return {"viscosity": dpd.Estimate(eta, 0.02 * eta)}
+        >>> measured, prior = {"viscosity": (1.5, 0.03)}, {"gamma": (1.0, 30.0)}
+        >>> found = dpd.fit(thickness, measured, prior, key=key, batches=1, checks=0, **quiet)
+        >>> abs(found.estimates["gamma"].value - 9.0) < 1.0
+        True
     """
     key = prng_key(key)
     batch, batches = whole(batch, "batch"), whole(batches, "batches")

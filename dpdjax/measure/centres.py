@@ -44,8 +44,14 @@ def molecular_displacement(
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
         axes: of the displacement that count, such as ``"yz"`` for those across a shear flow.
 
-    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a run without bonds, molecules
+    Returns a ``MeanSquaredDisplacement``. Raises ValueError for a run without bonds, molecules
     of several kinds, and as :func:`mean_squared_displacement` does.
+
+    Example:
+        >>> centres = dpd.measure.molecular_displacement(chains, t_max=0.2)
+        >>> beads = dpd.measure.mean_squared_displacement(chains, t_max=0.2)
+        >>> bool(centres.value[-1] < beads.value[-1])
+        True
     """
     which, members, shape = _centres(trajectory, length, species, axes)
     time, curves = correlated(trajectory, members, shape, squared_displacement, t_max)
@@ -72,7 +78,15 @@ def molecular_diffusion(
         fit: first and last lag [time]; by default the later half of the lags that leave 12
             independent pieces.
 
-    Warns and raises ValueError as :func:`diffusion` does, and as :func:`molecular_displacement`.
+    Warns and raises ValueError as :func:`dpdjax.diffusion` does, and as
+    :func:`molecular_displacement`.
+
+    Example:
+        >>> plan = dpd.Plan(24, 50)  # too short a run, as a warning says
+        >>> ran = dpd.run(melt.fluid, chains.final, key, melt.dt, plan, observe=seen, **quiet)
+        >>> D = dpd.measure.molecular_diffusion(ran, fit=(0.9, 1.5))
+        >>> 0 < D.value < 0.2
+        True
     """
     which, members, shape = _centres(trajectory, length, species, axes)
     mass, of_bead = bead_masses(trajectory)[0], species_of(trajectory)

@@ -67,6 +67,13 @@ def clusters(what: Trajectory | Spheres, *, gap: float | None = None) -> Cluster
         gap: surface gap [length], as in :func:`contact_number`.
 
     Raises ValueError as :func:`contact_number` does.
+
+    Example:
+        >>> found = dpd.measure.clusters(gel, gap=0.2)
+        >>> found.largest.shape, found.percolation.shape
+        ((1, 24), (3,))
+        >>> found.plot()
+        <Axes: ...>
     """
     what, gap = spheres_and_gap(what, gap)
     values = by_frame(what, lambda frame: _cluster_numbers(frame, gap))
@@ -83,6 +90,12 @@ def cluster_of_each(what: Trajectory | Spheres, *, gap: float | None = None) -> 
     largest of a frame.
 
     Arguments and errors as in :func:`clusters`.
+
+    Example:
+        >>> number = dpd.measure.cluster_of_each(gel, gap=0.2)
+        >>> members = np.sum(number[0, -1] == 0)
+        >>> bool(members == dpd.measure.clusters(gel, gap=0.2).largest[0, -1])
+        True
     """
     what, gap = spheres_and_gap(what, gap)
     return by_frame(what, lambda frame: _by_size(_labels(frame, close_pairs(frame, gap))))

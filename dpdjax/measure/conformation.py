@@ -94,6 +94,13 @@ def end_to_end(
     apart. Raises ValueError for a run without positions, or with means of them, a failed one, a
     sheared one without its ``strain``, no bonds, molecules of several kinds, or branched, a
     ``t_max`` outside the run.
+
+    Example:
+        >>> found = dpd.measure.end_to_end(chains)
+        >>> found.chains
+        Molecules(206 linear of length 5, species 0 x 5)
+        >>> found.mean_square.value > found.mean.value**2
+        True
     """
     needs.warn_of_ages(trajectory, "<R^2>")
     which = linear_chains(trajectory, length, species)
@@ -119,6 +126,12 @@ def radius_of_gyration(
     ``k r^2 / 2`` that is ``(N^2 - 1) kT / (2 N k)`` on average.
 
     Arguments as in :func:`end_to_end`, of molecules of any kind; errors too.
+
+    Example:
+        >>> found = dpd.measure.radius_of_gyration(chains)
+        >>> traces = sum(each.value for each in found.eigenvalues)
+        >>> abs(traces - found.mean_square.value) < 1e-5
+        True
     """
     needs.warn_of_ages(trajectory, "<Rg^2>")
     which = chains(trajectory, length=length, species=species)

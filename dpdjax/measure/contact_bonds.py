@@ -75,6 +75,14 @@ def contact_bonds(
 
     Raises ValueError for fractions out of order, a ``t_max`` outside the run, and as
     :func:`contact_number` does.
+
+    Example:
+        >>> found = dpd.measure.contact_bonds(gel, gap=0.2)
+        >>> found.number.shape
+        (1, 24)
+        >>> count = found.number[0]
+        >>> bool(np.all(np.diff(count) == (found.formed - found.broken)[0, 1:]))
+        True
     """
     what, keys = _followed(what, gap, forms, breaks)
     # Entry [member, a, b]: bonds that were there from frame a or before to frame b or after.
@@ -96,6 +104,11 @@ def bonded_pairs(
     frame: ``pairs[member][frame]``.
 
     Arguments and errors as in :func:`contact_bonds`.
+
+    Example:
+        >>> pairs = dpd.measure.bonded_pairs(gel, gap=0.2)
+        >>> len(pairs), len(pairs[0]), pairs[0][-1].shape[1]
+        (1, 24, 2)
     """
     what, keys = _followed(what, gap, forms, breaks)
     return [[np.stack(np.divmod(bonded, what.n), axis=1) for bonded in member] for member in keys]

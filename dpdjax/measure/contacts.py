@@ -75,6 +75,11 @@ def contact_number(what: Trajectory | Spheres, *, gap: float | None = None) -> C
 
     Raises ValueError for a gap that is missing, not above zero or too large for the box
     (``2 R + gap`` above half the shortest side), and as :func:`spheres` does.
+
+    Example:
+        >>> found = dpd.measure.contact_number(gel)
+        >>> round(found.gap, 3), round(float(found.share.sum()), 3)
+        (0.1, 1.0)
     """
     found, gap = spheres_and_gap(what, gap)
     contacts = contacts_of_each(found, gap=gap)
@@ -88,6 +93,14 @@ def contacts_of_each(what: Trajectory | Spheres, *, gap: float | None = None) ->
     """The number of others closer than ``gap`` to each sphere, (batch, frames, n).
 
     Arguments and errors as in :func:`contact_number`.
+
+    Example:
+        >>> of_each = dpd.measure.contacts_of_each(gel, gap=0.2)
+        >>> of_each.shape
+        (1, 24, 16)
+        >>> pairs = dpd.measure.bonded_pairs(gel, gap=0.2, forms=1.0)[0][0]
+        >>> 2 * len(pairs) == int(of_each[0, 0].sum())
+        True
     """
     what, gap = spheres_and_gap(what, gap)
 

@@ -55,6 +55,13 @@ def pair_distribution(
 
     Raises ValueError for a single sphere, ``h_max`` too large for the box, ``h_min`` that is not
     below ``h_max`` or at which the smallest spheres coincide, and as :func:`spheres` does.
+
+    Example:
+        >>> found = dpd.measure.pair_distribution(gel, bins=20, h_max=1.0)
+        >>> found.g.shape
+        (20,)
+        >>> round(float(found.h[-1]), 3)
+        0.974
     """
     what = as_spheres(what)
     edges, everyone = _gap_edges(what, bins, h_min, h_max), np.arange(what.n)
@@ -90,6 +97,13 @@ def partial_distribution(
     Returns a :class:`RadialDistribution`. Raises ValueError for positions of some beads only, a
     species that is not there or has a single bead, ``r_max`` above half the shortest side, other
     ``pairs``, or no bonds that tell molecules, and as :func:`spheres` does.
+
+    Example:
+        >>> within = dpd.measure.partial_distribution(chains, 0, 0, bins=20, pairs="within")
+        >>> between = dpd.measure.partial_distribution(chains, 0, 0, bins=20, pairs="between")
+        >>> every = dpd.measure.partial_distribution(chains, 0, 0, bins=20)
+        >>> np.allclose(within.g + between.g, every.g)
+        True
     """
     choice(pairs, ("all", "within", "between"), "pairs")
     a, b = (chosen_beads(trajectory, species) for species in (species_a, species_b))

@@ -26,9 +26,19 @@ class Driven:
     Attributes:
         diffusion: ``D = kT v / F`` [length^2/time], or ``D_r = kT omega / T`` [1/time].
         velocity: along the force, where the whole has no momentum [length/time]; or the angular
-            velocity about the torque.
-        friction: ``kT / D``, force over velocity or torque over angular velocity.
+            velocity about the torque [1/time].
+        friction: ``kT / D``, force over velocity [mass/time] or torque over angular velocity
+            [energy time].
         is_torque: whether it is a torque.
+
+    Example:
+        >>> found = dpd.measure.Driven(
+        ...     diffusion=dpd.Estimate(0.02, 0.001),
+        ...     velocity=dpd.Estimate(0.1, 0.005),
+        ...     friction=dpd.Estimate(50.0, 2.5),
+        ... )
+        >>> round(found.reynolds(density=3.0, viscosity=1.0, radius=1.0), 3)
+        0.3
     """
 
     diffusion: Estimate
@@ -68,6 +78,15 @@ def driven_diffusion(trajectory: Trajectory, *, skip: float = 0.1, blocks: int =
     independent.
 
     Raises ValueError for a run without such a force, or a batch with several.
+
+    Example:
+        >>> push, plan = dpd.drive(force=20.0, torque=20.0), dpd.Plan(40, 10)
+        >>> record = [dpd.observe.positions_of(1), dpd.observe.rotations]
+        >>> fluid, start = marble.fluid, turning.final
+        >>> ran = dpd.run(fluid, start, key, marble.dt, plan, push, observe=record, **quiet)
+        >>> found = dpd.measure.driven_diffusion(ran)
+        >>> abs(found.velocity.value / 20.0 - found.diffusion.value) < 1e-6  # kT is 1
+        True
     """
     drive, force, along = _driven(trajectory, "applied_force", "force")
     beads = chosen_beads(trajectory, drive.species)
@@ -89,6 +108,14 @@ def driven_rotation(trajectory: Trajectory, *, skip: float = 0.1, blocks: int = 
     ``D_r = kT omega / T``. Record with ``observe=dpd.observe.rotations``, or its mean over all
     steps. Arguments, errors and the warning as in :func:`driven_diffusion`; ValueError also where
     no friction turns the spheres, as with ``coupling="central"``.
+
+    Example:
+        >>> push, plan = dpd.drive(force=20.0, torque=20.0), dpd.Plan(40, 10)
+        >>> record = [dpd.observe.positions_of(1), dpd.observe.rotations]
+        >>> fluid, start = marble.fluid, turning.final
+        >>> ran = dpd.run(fluid, start, key, marble.dt, plan, push, observe=record, **quiet)
+        >>> dpd.measure.driven_rotation(ran).is_torque
+        True
     """
     drive, torque, along = _driven(trajectory, "applied_torque", "torque")
     omega = (

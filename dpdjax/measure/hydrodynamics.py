@@ -40,6 +40,13 @@ def sphere_diffusion(
         radius: of the sphere, as the fluid feels it [length].
         box: side of the cube [length].
         slip_length: [length]; infinite for full slip.
+
+    Example:
+        >>> sphere = {"kT": 1.0, "viscosity": 1.0, "radius": 1.0}
+        >>> free = dpd.theory.sphere_diffusion(**sphere)
+        >>> boxed = dpd.theory.sphere_diffusion(**sphere, box=10.0)
+        >>> round(float(free), 4), round(float(boxed / free), 3)
+        (0.0531, 0.72)
     """
     translation, quadrupole = _slip_factors(slip_length, radius)
     box = np.asarray(box, float)
@@ -59,8 +66,17 @@ def sphere_rotational_diffusion(
 ) -> ArrayLike:
     """Rotational diffusion coefficient of a sphere in a periodic cube [1/time].
 
-    ``kT (1 + 3 b/R)/(8 pi viscosity R^3) - kT/(6 viscosity L^3)``; infinite for full slip.
+    ``kT (1 + 3 b/R)/(8 pi viscosity R^3) - kT/(6 viscosity L^3)``, the latter as Linke, Koefinger &
+    Hummer (2018) have it; infinite for full slip.
+
     Arguments as in :func:`sphere_diffusion`.
+
+    Example:
+        >>> sphere = {"kT": 1.0, "viscosity": 1.0, "radius": 1.0}
+        >>> free = dpd.theory.sphere_rotational_diffusion(**sphere)
+        >>> boxed = dpd.theory.sphere_rotational_diffusion(**sphere, box=4.0)
+        >>> round(float(free), 4), round(float(boxed / free), 3)
+        (0.0398, 0.935)
     """
     box = np.asarray(box, float)
     return (
@@ -86,17 +102,24 @@ def velocity_tail(
     density: ArrayLike,
     box: ArrayLike = None,
 ) -> ArrayLike:
-    """``<v(t) . v(0)>`` of any sphere that the fluid carries [length^2/time^2], (times,), at ``t``
-    well above ``R^2/nu``.
+    """Velocity autocorrelation of any sphere that the fluid carries, at late times
+    [length^2/time^2], (times,).
 
-    ``kT/(4 density (pi nu t)^(3/2))`` with ``nu = viscosity/density`` (Alder & Wainwright 1970),
-    its own diffusion left out; in a periodic cube the sum ``2 kT/(density V) sum exp(-nu k^2 t)``
-    over all waves but the zeroth, which ends in an exponential.
+    ``<v(t) . v(0)>`` at ``t`` well above ``R^2/nu``: ``kT/(4 density (pi nu t)^(3/2))`` with
+    ``nu = viscosity/density`` (Alder & Wainwright 1970), its own diffusion left out; in a periodic
+    cube the sum ``2 kT/(density V) sum exp(-nu k^2 t)`` over all waves but the zeroth, which ends
+    in an exponential.
 
     Args:
         time: [time], above zero: leave out the first lag of a correlation, ``time[1:]``.
         kT, viscosity, density: of the fluid; mass density.
         box: side of a periodic cube [length].
+
+    Example:
+        >>> fluid = {"kT": 1.0, "viscosity": 1.0, "density": 3.0}
+        >>> tail = dpd.theory.velocity_tail(np.array([2.0, 8.0]), **fluid)
+        >>> round(float(tail[0] / tail[1]), 3)  # as t^(-3/2)
+        8.0
     """
     nu_t = viscosity / density * np.asarray(positive(time, "time"), float)
     if box is None:
@@ -112,12 +135,19 @@ def angular_velocity_tail(
     density: ArrayLike,
     box: ArrayLike = None,
 ) -> ArrayLike:
-    """``<omega(t) . omega(0)>`` of any sphere that turns with the fluid [1/time^2], (times,), at
-    ``t`` well above ``R^2/nu``.
+    """Autocorrelation of the angular velocity of any sphere that turns with the fluid, at late
+    times [1/time^2], (times,).
 
+    ``<omega(t) . omega(0)>`` at ``t`` well above ``R^2/nu``:
     ``3 pi kT/(density (4 pi nu t)^(5/2))`` (Berne 1972): half the curl of the fluid's velocity
     fluctuations; in a periodic cube ``kT/(2 density V) sum k^2 exp(-nu k^2 t)``. Arguments as in
     :func:`velocity_tail`.
+
+    Example:
+        >>> fluid = {"kT": 1.0, "viscosity": 1.0, "density": 3.0}
+        >>> tail = dpd.theory.angular_velocity_tail(np.array([2.0, 8.0]), **fluid)
+        >>> round(float(tail[0] / tail[1]), 3)  # as t^(-5/2)
+        32.0
     """
     nu_t = viscosity / density * np.asarray(positive(time, "time"), float)
     if box is None:
@@ -165,6 +195,14 @@ def hydrodynamic_radius(
 
     Raises ValueError where numbers of sides and estimates differ, an error is missing, or no radius
     below half a side fits.
+
+    Example:
+        >>> fluid = {"kT": 1.0, "viscosity": 1.0}
+        >>> boxes = [8.0, 12.0]
+        >>> D = [float(dpd.theory.sphere_diffusion(radius=1.2, box=box, **fluid)) for box in boxes]
+        >>> measured = [dpd.Estimate(each, 0.01 * each) for each in D]
+        >>> dpd.theory.hydrodynamic_radius(boxes, measured, **fluid)
+        1.20... +- 0.0...
     """
     box = np.asarray(box, float)
     value, error = np.array([[e.value, e.error] for e in diffusion]).T

@@ -41,6 +41,11 @@ def order_parameter(
     Bonds without a length have no direction, and count as 0. Raises ValueError for another axis, a
     type of bonds that is not there, lipids without head beads or of nothing else, and as
     :func:`end_to_end` does.
+
+    Example:
+        >>> order = dpd.measure.order_parameter(chains, normal="z")
+        >>> abs(order.value) < 0.1  # a melt has no direction
+        True
     """
     needs.finished(trajectory)
     axis = _axis(normal)
@@ -79,6 +84,10 @@ def area_per_lipid(
 
     Raises ValueError for another axis, ``leaflets`` below 1, no bonds or no such molecule, a failed
     run, and a scan over numbers.
+
+    Example:
+        >>> round(dpd.measure.area_per_lipid(chains).value, 4)  # 7 x 7 over half of 206
+        0.4757
     """
     needs.finished(trajectory)
     refuse_scan(trajectory)

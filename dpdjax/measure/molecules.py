@@ -31,6 +31,13 @@ class Molecules:
             chains along the chain, from the end whose species come first.
         species: of each place in that order, (beads,).
         bonds: the places that are bonded, (bonds, 2), each pair once.
+
+    Example:
+        >>> found = dpd.measure.chains(chains)
+        >>> found.count, found.length, found.is_linear
+        (206, 5, True)
+        >>> found.bonds
+        ((0, 1), (1, 2), (2, 3), (3, 4))
     """
 
     ids: np.ndarray
@@ -63,8 +70,8 @@ class Molecules:
 
     @property
     def tree(self) -> list[tuple[int, int]]:
-        """A spanning tree: bonds (place, place next to it that comes before) in an order in which
-        each place but the first is reached once."""
+        """Bonds of a spanning tree (place, place next to it that comes before), in an order in
+        which each place but the first is reached once."""
         near, reached, found = _neighbours(self.bonds, self.length), {0}, []
         queue = collections.deque([0])
         while queue:
@@ -88,6 +95,10 @@ def molecules_of(what: State | Trajectory) -> tuple[Molecules, ...]:
 
     Raises TypeError for what is neither; ValueError for one without bonds, or a batch whose members
     differ in their bonds or in the species of their beads.
+
+    Example:
+        >>> dpd.measure.molecules_of(melt.state)
+        (Molecules(206 linear of length 5, species 0 x 5),)
     """
     state = _state_of(what)
     species, bonds = _by_id(state), _bonds_of(state)
@@ -121,6 +132,11 @@ def chains(
 
     Raises ValueError, naming what is there, where several kinds fit or none does, and as
     :func:`molecules_of` does.
+
+    Example:
+        >>> ids = dpd.measure.chains(chains, length=5).ids
+        >>> ids.shape
+        (206, 5)
     """
     found = molecules_of(what)
     fitting = matching(found, length, species)

@@ -1,5 +1,6 @@
 """What measures need of a run, and the checks that it is so."""
 
+import math
 import warnings
 
 import numpy as np
@@ -8,6 +9,7 @@ from dpdjax import drawing
 from dpdjax.checks import is_concrete
 from dpdjax.measure.replicas import bead_masses, species_of
 from dpdjax.measure.statistics import block_average
+from dpdjax.model import rates
 
 RARELY = 1e-3
 """How often a stationary series is told to drift."""
@@ -82,7 +84,7 @@ def warn_of_heat(trajectory, frames: dict):
     else:
         return
     kT = float(np.mean(np.asarray(trajectory.fluid.kT, float)))
-    measured = is_off(series, kT)
+    measured = is_off(series, kT, doubt(trajectory, np.shape(series)[-1]))
     if measured is not None:
         warnings.warn(
             f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of "
@@ -92,16 +94,35 @@ def warn_of_heat(trajectory, frames: dict):
         )
 
 
-def is_off(temperatures, kT: float):
+def is_off(temperatures, kT: float, doubt: float = 0.0):
     """The mean of temperatures (frames,) or (replicas, frames) where it is far from kT, or not kT
-    beyond doubt; else None."""
+    beyond doubt; else None. By ``doubt``, a share, the mean of each may be off by chance."""
     series = np.atleast_2d(np.asarray(temperatures, float))
     if kT <= 0 or series.size < 4 or not np.all(np.isfinite(series)):
         return None
     found = block_average(series)
     share = abs(found.value / kT - 1.0)
+    if share < SURELY * doubt / math.sqrt(len(series)):
+        return None
     surely = found.deviation(kT) > SURELY and found.blocks >= FEWEST
     return found.value if share > WARM or (share > OFF and surely) else None
+
+
+def doubt(trajectory, frames: int) -> float:
+    """Share of kT by which a mean of the kinetic temperature over so many frames is off by chance:
+    few beads have energies that vary, and remember theirs as long as drag does.
+
+    A short run seems to be steadily hot else: all its frames are of one moment.
+    """
+    of_bead = species_of(trajectory)
+    one = math.sqrt(2.0 / (3 * max(len(of_bead), 2) - 3))
+    if trajectory.every is None:
+        return one
+    volume = float(np.prod(np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]))
+    fluid = rates.extreme(trajectory.fluid)
+    densities = np.bincount(of_bead, minlength=fluid.species) / volume
+    span = frames * float(np.min(trajectory.interval))
+    return one / math.sqrt(max(rates.damping_rate(fluid, densities) * span, 1.0))
 
 
 def _temperature_of(trajectory, velocity):

@@ -39,6 +39,11 @@ class VelocityProfile:
         temperature_error: its standard error, (bins,); NaN where there is a single frame.
         imposed: velocity of a homogeneous shear, ``rate (y - L_y/2)``, (bins,) [length/time]; 0
             where the box was not sheared.
+
+    Example:
+        >>> profile = dpd.measure.velocity_profile(sheared, bins=4)
+        >>> profile.y.round(3).tolist(), profile.imposed.round(3).tolist()
+        ([0.5, 1.5, 2.5, 3.5], [-0.3, -0.1, 0.1, 0.3])
     """
 
     y: np.ndarray
@@ -91,6 +96,13 @@ def velocity_profile(
     Warns where temperature or energy, if recorded, still drift. Raises ValueError for a failed run,
     one without positions and velocities or with means of them, a scan over numbers, a species that
     is not there, a number of bins below 1, ``skip`` outside 0 to 1.
+
+    Example:
+        >>> profile = dpd.measure.velocity_profile(sheared, bins=4, skip=0.5)
+        >>> profile.velocity.shape, profile.velocity_error.shape
+        ((4,), (4,))
+        >>> bool(np.all(abs(profile.temperature - 1.0) < 0.5))
+        True
     """
     if not 0 <= skip < 1:
         raise ValueError(f"skip is {skip}; it is a share of the frames, from 0 to below 1")

@@ -19,6 +19,14 @@ class Moduli:
         loss: G'', in phase with its rate [energy / volume].
         frequency: angular [1/time].
         cycles: both moduli of every whole cycle, (cycles, 2).
+
+    Example:
+        >>> flow = dpd.oscillatory_shear(0.5, 2 * np.pi / 4.16)  # a cycle of 32 frames
+        >>> plan, record = dpd.Plan(96, 13), dpd.observe.shear_record
+        >>> ran = dpd.run(water, state, key, 0.01, plan, flow, observe=record, **quiet)
+        >>> found = dpd.measure.moduli(ran)
+        >>> found.cycles.shape, round(found.loss.value / found.viscosity.value, 3)  # the frequency
+        ((2, 2), 1.51)
     """
 
     storage: Estimate
@@ -48,6 +56,14 @@ def moduli(trajectory: Trajectory, *, skip: int = 1, averaged: bool | None = Non
 
     Raises ValueError for another flow, a scan, no recorded stress, and less than two whole cycles
     after those left out.
+
+    Example:
+        >>> flow = dpd.oscillatory_shear(0.5, 2 * np.pi / 4.16)  # a cycle of 32 frames
+        >>> plan, record = dpd.Plan(96, 13), dpd.observe.shear_record
+        >>> ran = dpd.run(water, state, key, 0.01, plan, flow, observe=record, **quiet)
+        >>> found = dpd.measure.moduli(ran)
+        >>> found.loss.value > found.storage.value  # a liquid
+        True
     """
     needs.finished(trajectory)
     amplitude, frequency = _oscillation(trajectory)

@@ -49,7 +49,9 @@ class RotationalCorrelation:
 def angular_velocity_autocorrelation(
     trajectory: Trajectory, *, t_max: float | None = None
 ) -> RotationalCorrelation:
-    """``<omega(t) . omega(0)>`` of all spheres that rotate; ``3 kT / I`` at t = 0.
+    """The autocorrelation of the angular velocity of all spheres that rotate [1/time^2].
+
+    ``<omega(t) . omega(0)>``, ``3 kT / I`` at t = 0.
 
     Args:
         trajectory: a run without shear recorded with ``observe=dpd.observe.rotations``, batched or
@@ -58,6 +60,11 @@ def angular_velocity_autocorrelation(
 
     Raises ValueError for a sheared or failed run, one without rotations, a ``t_max`` outside the
     run.
+
+    Example:
+        >>> memory = dpd.measure.angular_velocity_autocorrelation(turning, t_max=0.2)
+        >>> bool(memory.value[-1] < memory.value[0])
+        True
     """
     values = _unsheared(trajectory, "angular_velocity")
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
@@ -68,9 +75,16 @@ def angular_velocity_autocorrelation(
 def orientation_correlation(
     trajectory: Trajectory, *, t_max: float | None = None
 ) -> RotationalCorrelation:
-    """``<u(t) . u(0)>`` of the axis of all spheres that rotate; ``exp(-2 D_r t)`` at late times.
+    """The autocorrelation of the axis of all spheres that rotate.
+
+    ``<u(t) . u(0)>`` of a unit vector, ``exp(-2 D_r t)`` at late times.
 
     Arguments and errors as in :func:`angular_velocity_autocorrelation`.
+
+    Example:
+        >>> memory = dpd.measure.orientation_correlation(turning, t_max=0.2)
+        >>> round(float(memory.value[0]), 3)
+        1.0
     """
     values = axis_of(_orientations(trajectory))
     time, curves = correlated(trajectory, values, values.shape, transport.autocorrelation, t_max)
@@ -98,6 +112,15 @@ def rotational_diffusion(
 
     Raises ValueError as :func:`dpdjax.diffusion` does, for frames so far apart that turns are lost
     count of, and spheres that no friction turns, as with ``coupling="central"``.
+
+    Example:
+        >>> rough = marble.fluid.set(gamma_cs=50.0)  # forgets its spin sooner
+        >>> record = [dpd.observe.positions_of(1), dpd.observe.rotations]
+        >>> plan = dpd.Plan(40, 20)
+        >>> ran = dpd.run(rough, marble.state, key, marble.dt, plan, observe=record, **quiet)
+        >>> D = dpd.measure.rotational_diffusion(ran, fit=(0.1, 0.2))
+        >>> 0 < D.value < 0.1
+        True
     """
     if method not in ("msd", "vacf"):
         raise ValueError(f'method is {method!r}; it is "msd" or "vacf"')

@@ -22,12 +22,17 @@ class RouseModes:
         mean_square: ``<X_p^2>`` of one component, (modes,) [length^2].
         error: its standard error, (modes,).
         relaxation_time: tau_p, (modes,) [time], of ``A exp(-t/tau)``; NaN where frames are too far
-            apart or too few to tell it. See :class:`Relaxation`. Modes so stiff that they swing, as
+            apart or too few to tell it, see ``Relaxation``. Modes so stiff that they swing, as
             the higher ones of most DPD chains do, have none: look at ``correlations``.
         relaxation_error: its standard error, (modes,).
         correlations: the autocorrelation of each mode; none where the frames of the run are not
             evenly spaced, or fewer than four.
         chains: whose they are.
+
+    Example:
+        >>> modes = dpd.measure.rouse_modes(chains)
+        >>> modes.p.tolist(), len(modes.correlations)
+        ([1, 2, 3, 4], 4)
     """
 
     p: np.ndarray
@@ -86,6 +91,11 @@ def rouse_modes(
 
     Arguments, warnings and errors as in :func:`end_to_end`; the first mode is the one whose memory
     is warned of. Masses do not count.
+
+    Example:
+        >>> modes = dpd.measure.rouse_modes(chains)
+        >>> bool(np.all(np.diff(modes.mean_square) < 0))
+        True
     """
     needs.warn_of_ages(trajectory, "<X_p^2>")
     which = linear_chains(trajectory, length, species)

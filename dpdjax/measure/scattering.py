@@ -44,12 +44,12 @@ def structure_factor(
     q_max: float | None = None,
     bins: int = 60,
 ) -> StructureFactor:
-    """The structure factor ``S(q) = |sum exp(-i q . r)|^2 / n``, at the wave vectors of the box.
+    """The structure factor at the wave vectors of the box.
 
-    Those are ``2 pi m / L``, and in a tilted box ``2 pi (m_x / L_x, m_y / L_y - strain m_x / L_x,
-    m_z / L_z)``, which change from frame to frame. All spheres count alike, whatever their radii.
-    Averages run over the wave vectors of a shell, so over all directions, and over frames; shells
-    without any are left out.
+    ``S(q) = |sum exp(-i q . r)|^2 / n``, where q is ``2 pi m / L``, and in a tilted box
+    ``2 pi (m_x / L_x, m_y / L_y - strain m_x / L_x, m_z / L_z)``, which changes from frame to
+    frame. All spheres count alike, whatever their radii. Averages run over the wave vectors of a
+    shell, so over all directions, and over frames; shells without any are left out.
 
     The error is that of the scatter between stretches of frames. Of one gel, whose frames are all
     alike, it leaves out that the box holds few wave vectors: ``s / sqrt(vectors / 2)``.
@@ -62,6 +62,13 @@ def structure_factor(
         bins: shells of equal width between 0 and ``q_max``.
 
     Raises ValueError for ``q_max`` below the smallest wave vector, and as :func:`spheres` does.
+
+    Example:
+        >>> found = dpd.measure.structure_factor(rest, species=0, q_max=6.0, bins=10)
+        >>> round(float(found.q[0]), 4)  # 2 pi over the side
+        1.5708
+        >>> bool(found.s[0] < 1)  # dense fluids hardly scatter at small q
+        True
     """
     needs.warn_of_ages(what, "S(q)")
     what = as_spheres(what) if species is None else _of_species(what, species)

@@ -37,6 +37,11 @@ def solvent_density(
         seed: of their places.
 
     Raises ValueError where no point is clear of the colloids, and for a batch.
+
+    Example:
+        >>> density = dpd.measure.solvent_density(made.fluid, gel.final)
+        >>> abs(density - 3.0) < 0.3
+        True
     """
     if np.ndim(state.position) != 2:
         raise ValueError(

@@ -38,6 +38,12 @@ class Spheres:
 
     Raises ValueError for shapes that do not fit, numbers that are not finite, radii or sides not
     above zero.
+
+    Example:
+        >>> where = [[0.0, 0.0, 0.0], [2.1, 0.0, 0.0], [5.0, 5.0, 5.0]]
+        >>> given = dpd.measure.Spheres(position=where, radius=1.0, lengths=10.0)
+        >>> dpd.measure.clusters(given, gap=0.2).largest.tolist()
+        [[2]]
     """
 
     position: np.ndarray
@@ -98,6 +104,11 @@ def spheres(trajectory: Trajectory, *, species: int | None = None) -> Spheres:
             without ``strain``; no species with a radius, or several and none named, or a named one
             that is not there or has none; a scan over numbers; members of a batch in different
             boxes or at different times.
+
+    Example:
+        >>> found = dpd.measure.spheres(gel)
+        >>> found.position.shape, found.radius.shape
+        ((1, 24, 16, 3), (1, 16))
     """
     needs.finished(trajectory)
     species = _of_radius(trajectory.fluid, species)
@@ -131,7 +142,15 @@ def _of_radius(fluid, species: int | None) -> int:
 
 def spheres_of(fluid: Fluid, state: State, *, species: int | None = None) -> Spheres:
     """The spheres of one species of a single state; ``species`` and ValueError as in
-    :func:`spheres`, or for a batch."""
+    :func:`spheres`, or for a batch.
+
+    Example:
+        >>> found = dpd.measure.spheres_of(made.fluid, gel.final)
+        >>> found.position.shape
+        (1, 1, 16, 3)
+        >>> dpd.measure.contact_number(found, gap=0.2).series.shape
+        (1, 1)
+    """
     if np.ndim(state.position) != 2:
         raise ValueError(
             "the state is a batch; give one member: jax.tree.map(lambda leaf: leaf[0], state)"

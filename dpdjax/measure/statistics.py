@@ -17,6 +17,15 @@ class Estimate:
         value: the estimate.
         error: its standard error (one sigma).
         blocks: independent pieces the error was read off.
+
+    Example:
+        >>> suspension, solvent = dpd.Estimate(1.702, 0.021), dpd.Estimate(0.851, 0.004)
+        >>> suspension
+        1.702 +- 0.021
+        >>> suspension.over(solvent)
+        2.000 +- 0.026
+        >>> round(solvent.deviation(0.859), 3)  # in standard errors
+        2.0
     """
 
     value: float
@@ -76,6 +85,13 @@ def block_average(series: ArrayLike, blocks: int = 20) -> Estimate:
 
     Raises ValueError for fewer than 4 values, values that are not finite, and more than two axes;
     TypeError for values that are being traced.
+
+    Example:
+        >>> series = np.sin(np.arange(1000)) + 5.0
+        >>> dpd.measure.block_average(series, blocks=10)
+        5.00... +- 0.00...
+        >>> abs(dpd.measure.block_average(rest.frames["temperature"]).value - 1.0) < 0.2
+        True
     """
     if not is_concrete(series):
         raise TypeError(

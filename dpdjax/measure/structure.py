@@ -31,6 +31,13 @@ class RadialDistribution:
         r: middle of each shell, (bins,) [length].
         g: density around a bead over the mean density, (bins,).
         error: standard error of ``g``, (bins,); NaN where there is a single frame.
+
+    Example:
+        >>> g = dpd.measure.radial_distribution(rest, bins=20)
+        >>> round(float(g.r[0]), 3)  # half a shell of 2 / 20
+        0.05
+        >>> g.plot()
+        <Axes: ...>
     """
 
     r: np.ndarray
@@ -69,6 +76,15 @@ def radial_distribution(
     Raises:
         ValueError: no recorded positions, or means of them, a sheared run without its ``strain``,
             positions that are not finite, no box or two, ``r_max`` above half the shortest side.
+
+    Example:
+        >>> g = dpd.measure.radial_distribution(rest, bins=40)
+        >>> bool(g.g[0] < 0.5), bool(abs(g.g[-10:].mean() - 1) < 0.1)  # repulsion; no order far off
+        (True, True)
+        >>> random = np.random.default_rng(0).random((5, 200, 3)) * 4.0
+        >>> far = dpd.measure.radial_distribution(random, box=4.0, bins=10).g[2:]
+        >>> bool(np.all(abs(far - 1) < 0.2))
+        True
     """
     needs.warn_of_ages(trajectory, "g(r)")
     position, lengths, strain = _configurations(trajectory, box)

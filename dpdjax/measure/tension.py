@@ -29,6 +29,15 @@ class PressureProfile:
         tangential_error: its standard error, (bins,).
         tension: of one interface, the integral of the difference over the interfaces
             [energy / area].
+
+    Example:
+        >>> slabs = dpd.mean(dpd.observe.pressure_in_slabs(8))
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(40, 5), observe=slabs, **quiet)
+        >>> profile = dpd.measure.pressure_profile(ran)
+        >>> profile.z.tolist()
+        [0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3.25, 3.75]
+        >>> profile.normal.shape, profile.tangential.shape
+        ((8,), (8,))
     """
 
     z: np.ndarray
@@ -71,6 +80,13 @@ def pressure_profile(
     Warns where the tension still drifts over the frames used. Raises ValueError for a run that
     recorded no such profile or failed, a scan over numbers, ``interfaces`` below 1, ``skip``
     outside 0 to 1.
+
+    Example:
+        >>> slabs = dpd.mean(dpd.observe.pressure_in_slabs(8))
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(40, 5), observe=slabs, **quiet)
+        >>> profile = dpd.measure.pressure_profile(ran)
+        >>> abs(profile.tension.value) < 5  # one liquid, no interface
+        True
     """
     profile, side = _recorded(trajectory, skip, pressure_profile=(-1, 3), pressure_profile_side=())
     normal, tangential = profile[..., 0], profile[..., 1:].mean(axis=-1)
@@ -105,6 +121,11 @@ def surface_tension(
     Warns where the tension still drifts over the frames used. Raises ValueError for a run that
     recorded no pressure or failed, was sheared, changed its box without recording it, a scan over
     numbers, another axis, ``interfaces`` below 1, ``skip`` outside 0 to 1.
+
+    Example:
+        >>> tension = dpd.measure.surface_tension(rest)
+        >>> abs(tension.value) < 5  # one liquid, no interface
+        True
     """
     normal = "xyz".index(choice(axis, ("x", "y", "z"), "axis"))
     (pressure,) = _recorded(trajectory, skip, pressure_tensor=(3, 3))

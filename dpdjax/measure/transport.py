@@ -117,9 +117,17 @@ def mean_squared_displacement(
         t_max: longest lag [time]; by default as long as leaves 12 independent pieces.
         axes: of the displacement that count, such as ``"yz"`` for those across a shear flow.
 
-    Returns a :class:`MeanSquaredDisplacement`. Raises ValueError for a failed run, one without
+    Returns a ``MeanSquaredDisplacement``. Raises ValueError for a failed run, one without
     positions or with means of them, frames of a sheared one too far apart, a species that is not
     there, a ``t_max`` outside the run, other axes.
+
+    Example:
+        >>> found = dpd.measure.mean_squared_displacement(rest, t_max=1.0)
+        >>> found.time.round(3)[:3].tolist(), found.dimensions
+        ([0.0, 0.05, 0.1], 3)
+        >>> across = dpd.measure.mean_squared_displacement(sheared, t_max=1.0, axes="yz")
+        >>> across.dimensions
+        2
     """
     members, shape = _of_species(trajectory, "position", species, axes)
     time, curves = correlated(trajectory, members, shape, squared_displacement, t_max)
@@ -136,7 +144,12 @@ def velocity_autocorrelation(
     """The velocity autocorrelation of a run recorded with ``observe=dpd.observe.positions``.
 
     Under shear that of the velocities relative to the flow. Arguments, warnings and errors as in
-    :func:`mean_squared_displacement`; returns a :class:`VelocityAutocorrelation`.
+    :func:`mean_squared_displacement`; returns a ``VelocityAutocorrelation``.
+
+    Example:
+        >>> memory = dpd.measure.velocity_autocorrelation(rest, t_max=0.5)
+        >>> bool(abs(memory.value[0] - 3.0) < 0.5)  # 3 kT / m
+        True
     """
     members, shape = _of_species(trajectory, "velocity", species, axes)
     time, curves = correlated(trajectory, members, shape, autocorrelation, t_max)
@@ -169,16 +182,24 @@ def diffusion(
         fit: first and last lag [time]: after the velocity is forgotten, and below half the run. By
             default the later half of the lags that leave 12 independent pieces.
         species: index of the species looked at, or None for every bead.
-        axes: of the displacement that count, as in :func:`mean_squared_displacement`.
+        axes: of the displacement that count, as in
+            :func:`dpdjax.measure.mean_squared_displacement`.
 
     Warns, with lags that would do, where what velocities remember beyond those of ``fit`` is more
-    than the error: of the drag, and of the flow that beads have stirred up, by kinetic theory
-    (:mod:`dpdjax.measure.forgetting`); where the slope of the displacements still grows; and where
-    frames are too far apart to integrate.
+    than the error: of the drag, and of the flow that beads have stirred up, by kinetic theory;
+    where the slope of the displacements still grows; and where frames are too far apart to
+    integrate.
 
     Raises ValueError for an unknown method, a ``fit`` that holds fewer than two lags or leaves
     fewer than 4 independent pieces, lags at which beads still fly as they started, and as
-    :func:`mean_squared_displacement` does.
+    :func:`dpdjax.measure.mean_squared_displacement` does.
+
+    Example:
+        >>> plan = dpd.Plan(40, 120)
+        >>> ran = dpd.run(water, rest.final, key, 0.01, plan, observe=seen, **quiet)
+        >>> D = dpd.diffusion(ran, fit=(2.4, 3.6))
+        >>> 0.2 < D.value < 0.4
+        True
     """
     readings = {
         "msd": ("position", squared_displacement, einstein),
@@ -212,11 +233,17 @@ def large_system_diffusion(
     most DPD fluids.
 
     Args:
-        found: D in the box, as from :func:`diffusion`.
+        found: D in the box, as from :func:`dpdjax.diffusion`.
         viscosity: of the fluid [energy time/length^3].
         density: beads per volume [1/length^3].
         kT, mass: thermal energy, mass of a bead.
         side: of the box [length].
+
+    Example:
+        >>> box = dpd.Estimate(0.28, 0.01)
+        >>> fluid = {"viscosity": 0.9, "density": 3.0, "kT": 1.0}
+        >>> dpd.measure.large_system_diffusion(box, side=10.0, **fluid)
+        0.289 +- 0.010
     """
     spreads = viscosity + density * mass * found.value
     added = BOX * kT / (spreads * side)

@@ -63,6 +63,13 @@ def shear_viscosity(
     Warns where stress, temperature or energy still drift over the frames used.
 
     Raises ValueError for a run without shear, or a batch that scans over numbers.
+
+    Example:
+        >>> viscosity = dpd.shear_viscosity(sheared, skip=0.2)
+        >>> stress = -sheared.frames["pressure_tensor"][8:, 0, 1]
+        >>> plain = dpd.shear_viscosity(sheared, skip=0.2, control=False)
+        >>> abs(plain.value - float(stress.mean()) / 0.2) < 1e-4
+        True
     """
     needs.finished(trajectory)
     rate = _one_rate(trajectory)
@@ -102,7 +109,19 @@ random stress."""
 
 
 def green_kubo_record(fluid: Fluid, state: State) -> dict:
-    """What :func:`green_kubo` needs of each frame."""
+    """What :func:`dpdjax.measure.green_kubo` needs of each frame.
+
+    Give it to ``observe=``. ``flux`` and ``reversed_flux``, the smooth stress with the drag and
+    less it, (3, 3) [energy / volume]; ``instantaneous_viscosity`` [energy time / volume];
+    ``temperature`` [energy].
+
+    Example:
+        >>> recorded = dpd.observe.green_kubo_record(water, state)
+        >>> recorded["flux"].shape
+        (3, 3)
+        >>> bool(recorded["instantaneous_viscosity"] > 0)
+        True
+    """
     smooth = pressure_tensor(fluid, state, STATIC)
     drag = pressure_tensor(fluid, state, (DRAG,))
     return {
@@ -116,7 +135,7 @@ def green_kubo_record(fluid: Fluid, state: State) -> dict:
 def green_kubo(
     trajectory: Trajectory, *, window: float, skip: float = 0.0, blocks: int = 16
 ) -> Estimate:
-    """Viscosity from the stress autocorrelation of a fluid in equilibrium.
+    """Viscosity from the stress autocorrelation of a fluid in equilibrium [energy time / volume].
 
     ``eta_inf + V/kT integral_0^window <[K + C - D](0) [K + C + D](t)> dt`` with the flipped
     sign of the drag at the earlier time (it is odd under time reversal) and the part
@@ -133,6 +152,13 @@ def green_kubo(
     Warns where the stress is still remembered at the end of the window.
 
     Raises ValueError for a run that was driven.
+
+    Example:
+        >>> record = dpd.observe.green_kubo_record
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(400, 4), observe=record, **quiet)
+        >>> viscosity = dpd.measure.green_kubo(ran, window=0.5)
+        >>> 0.3 < viscosity.value < 2.0
+        True
     """
     needs.finished(trajectory)
     needs.equilibrium(trajectory, "the Green-Kubo viscosity")
@@ -180,7 +206,7 @@ einstein_helfand_record = [
     integral(_flux_integral),
     Recorder(lambda fluid, state: {"temperature": temperature(fluid, state)}),
 ]
-"""What :func:`einstein_helfand` needs: the whole stress, summed over every step."""
+"""What :func:`dpdjax.measure.einstein_helfand` needs: the whole stress, summed over every step."""
 
 
 def einstein_helfand(
@@ -191,7 +217,8 @@ def einstein_helfand(
     skip: float = 0.0,
     blocks: int = 16,
 ) -> Estimate:
-    """Viscosity from the growth of the integrated stress of a fluid in equilibrium.
+    """Viscosity from the growth of the integrated stress of a fluid in equilibrium
+    [energy time / volume].
 
     The slope of ``V <(integral_0^t P_xy)^2> / 2 kT`` between ``start`` and ``window``
     (Helfand 1960), all orientations, random part included: no decomposition, and the cost
@@ -206,6 +233,13 @@ def einstein_helfand(
     Warns where the integral still grows faster and faster, or slower, between these times.
 
     Raises ValueError for a run that was driven.
+
+    Example:
+        >>> record = dpd.observe.einstein_helfand_record
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(400, 4), observe=record, **quiet)
+        >>> viscosity = dpd.measure.einstein_helfand(ran, window=0.5)
+        >>> 0.3 < viscosity.value < 2.0
+        True
     """
     needs.finished(trajectory)
     needs.equilibrium(trajectory, "the Einstein-Helfand viscosity")
@@ -249,8 +283,17 @@ def _warn_bent(early, late, found: Estimate):
 
 @functools.cache
 def wave_of(waves: int = 1) -> Recorder:
-    """What :func:`sinusoidal_viscosity` needs: the mean amplitude of the velocity wave
-    ``U sin(2 pi waves y / L_y)``."""
+    """What :func:`dpdjax.measure.sinusoidal_viscosity` needs: the mean amplitude of the velocity
+    wave ``U sin(2 pi waves y / L_y)`` [length / time], as ``wave_velocity``.
+
+    Args:
+        waves: periods in the side, those of the force.
+
+    Example:
+        >>> wave = dpd.observe.wave_of(2)
+        >>> wave is dpd.observe.wave_of(2)  # so runs that record it share their program
+        True
+    """
 
     def observe(fluid, state):
         phase = 2 * jnp.pi * waves * state.position[:, 1] / state.box.lengths[1]
@@ -266,15 +309,29 @@ def wave_of(waves: int = 1) -> Recorder:
 def sinusoidal_viscosity(
     trajectory: Trajectory, *, skip: float = 0.2, blocks: int = 20
 ) -> Estimate:
-    """Viscosity at wavenumber k from the flow under ``dpd.flows.sinusoidal_force``.
+    """Viscosity at wavenumber k from the flow under ``dpd.flows.sinusoidal_force``
+    [energy time / volume].
 
-    ``density amplitude / (U k^2)``. Take the result at two wavelengths to k = 0 with
-    ``extrapolate``: kinetic corrections are of order k^2 (9 % at L = 10).
+    ``density amplitude / (U k^2)`` (Gosling, McDonald & Singer 1973). Take the result at two
+    wavelengths to k = 0 with :func:`dpdjax.measure.extrapolate`: kinetic corrections are of order
+    k^2 (9 % at L = 10).
 
     The error bar is right where each of the ``blocks`` is longer than the relaxation time
     ``density / (viscosity k^2)``, about 6 time units at L = 10 and 24 at L = 20.
 
-    Raises ValueError for a run without that force.
+    Args:
+        trajectory: a run with ``observe=dpd.observe.wave_of(waves)``, one or replicas.
+        skip: share of the frames left out at the start.
+        blocks: pieces for the error bar.
+
+    Raises ValueError for a run without that force, or a sheared one.
+
+    Example:
+        >>> flow, wave = dpd.flows.sinusoidal_force(1.0, side=4.0), dpd.observe.wave_of()
+        >>> ran = dpd.run(water, state, key, 0.01, dpd.Plan(40, 20), flow, observe=wave, **quiet)
+        >>> viscosity = dpd.measure.sinusoidal_viscosity(ran)
+        >>> 0.3 < viscosity.value < 2.0
+        True
     """
     needs.finished(trajectory)
     wave = trajectory.flow.driver(Wave)
@@ -301,7 +358,19 @@ def sinusoidal_viscosity(
 def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
     """Intercept at ``x = 0`` of the straight line through estimates, weighted by their errors.
 
-    For k^2 -> 0, dt -> 0 or rate^2 -> 0. Raises ValueError for fewer than two points.
+    For k^2 -> 0, dt -> 0 or rate^2 -> 0.
+
+    Args:
+        x: where they are (points,).
+        estimates: one for each.
+
+    Raises ValueError for fewer than two points, or other numbers of the two.
+
+    Example:
+        >>> steps = [0.01, 0.02]
+        >>> pressures = [dpd.Estimate(23.8, 0.1), dpd.Estimate(24.2, 0.1)]
+        >>> dpd.measure.extrapolate(np.square(steps), pressures)
+        23.67 +- 0.14
     """
     if len(x) < 2 or len(x) != len(estimates):
         raise ValueError(

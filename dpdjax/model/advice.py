@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import not_negative, plain, positive
+from dpdjax.checks import Numbers, not_negative, plain, positive
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import (
     CLOSE_NEIGHBOURS,
@@ -79,16 +79,17 @@ LIMITS = DRAG, REPULSION, LUBRICATION, CONTACT, BOND = (
 
 def suggest_dt(
     fluid: Fluid,
-    density: ArrayLike,
+    density: Numbers,
     sizes: tuple[float, float] = (1.0, 1.0),
     *,
     integrator: Any = None,
     error: float = ERROR,
 ) -> float:
-    """The longest time step at which a run is right to ``error``.
+    """The longest time step at which a run is right to ``error`` [time].
 
-    That is what accuracy allows (:func:`dt_errors`: kinetic and configurational temperature,
-    structure), and at most 0.7 of what stability allows (:func:`dt_limits`).
+    That is what accuracy allows (kinetic and configurational temperature, structure, the lengths of
+    bonds), and at most 0.7 of what stability allows (drag, stiff potentials, lubrication, contacts,
+    bonds); both are those of the integrator.
 
     Args:
         fluid: what runs; of a scan the member that needs the shortest step counts.
@@ -98,6 +99,14 @@ def suggest_dt(
         error: relative error that is allowed.
 
     Raises ValueError where nothing limits the step.
+
+    Example:
+        >>> round(dpd.suggest_dt(water, density=3.0), 4)
+        0.0094
+        >>> thick = water.set(gamma=100.0, a=0.0)
+        >>> how = dpd.integrators.ImplicitDrag()
+        >>> [round(dpd.suggest_dt(thick, 3.0, integrator=i), 4) for i in (None, how)]
+        [0.0008, 0.0202]
     """
     error, density = plain(error, "error", positive), not_negative(density, "density")
     if density.shape not in ((), (fluid.species,)):
@@ -116,7 +125,7 @@ def suggest_dt(
     return dt
 
 
-def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tuple[str, float]]:
+def dt_errors(fluid: Fluid, density: Numbers, error: float = ERROR) -> list[tuple[str, float]]:
     """What errs with the time step of velocity-Verlet, and the dt at which it errs by ``error``
     [time].
 
@@ -130,7 +139,7 @@ def dt_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tu
     return list(zip(ERRING, (min(limits) for limits in zip(*cases))))
 
 
-def held_errors(fluid: Fluid, density: ArrayLike, error: float = ERROR) -> list[tuple[str, float]]:
+def held_errors(fluid: Fluid, density: Numbers, error: float = ERROR) -> list[tuple[str, float]]:
     """As :func:`dt_errors`, for drag by the midpoint rule, its pairs held for a step.
 
     The temperature is right at any dt. In the units there, the configurational temperature of beads
@@ -203,11 +212,19 @@ def _limits(numbers, density, sizes) -> tuple[float, float, float, float, float]
 def suggest_skin(
     fluid: Fluid, dt: ArrayLike, interaction: int = 0, sorting: float = 0.0, passes: float = 1.0
 ) -> float:
-    """The skin of one list that costs least: wide lists hold more pairs, narrow ones are built more
-    often.
+    """The skin of one list that costs least [length]: wide lists hold more pairs, narrow ones are
+    built more often.
 
-    ``sorting``: what a rebuild costs besides, in units of one force pass over the list; ``passes``:
-    what a step costs in these units, the ``cost`` of its integrator.
+    Args:
+        fluid: what runs.
+        dt: time step [time]; of several the longest counts.
+        interaction: place in ``fluid.interactions`` of the one whose list it is.
+        sorting: what a rebuild costs besides, in units of one force pass over the list.
+        passes: what a step costs in these units, the ``cost`` of its integrator.
+
+    Example:
+        >>> [round(dpd.theory.suggest_skin(water, dt=dt), 2) for dt in (0.002, 0.01)]
+        [0.07, 0.15]
     """
     numbers = extreme(fluid)
     reach = numbers.reaches()[interaction]

@@ -12,7 +12,13 @@ from dpdjax.model.fluid import Fluid
 
 
 def masses(fluid: Fluid, beads: Any) -> jax.Array:
-    """Mass of each bead (n,)."""
+    """Mass of each bead (n,).
+
+    Example:
+        >>> m = dpd.integrators.masses(marble.fluid, marble.state)
+        >>> m.shape, round(float(m.max()), 2)
+        ((636,), 12.57)
+    """
     return fluid.mass[beads.species] * beads.size**3
 
 
@@ -25,7 +31,12 @@ def radii(fluid: Fluid, beads):
 
 
 def inertias(fluid: Fluid, beads: Any) -> jax.Array:
-    """Moment of inertia of each bead that rotates (m,) [mass length^2]."""
+    """Moment of inertia of each bead that rotates (m,) [mass length^2].
+
+    Example:
+        >>> round(float(dpd.integrators.inertias(marble.fluid, marble.state)[0]), 2)  # 2/5 M R^2
+        5.03
+    """
     slots = beads.rotation.slots
     return inertia_of(fluid, beads.species[slots], beads.size[slots])
 

@@ -46,11 +46,13 @@ def colloid_fluid(
     """Solvent beads (species 0) and hard colloids (species 1) that attract, rub and squeeze the
     solvent between them.
 
-    | pair            | conservative                         | drag                        |
-    |-----------------|--------------------------------------|-----------------------------|
-    | solvent-solvent | ``soft_repulsion``                   | ``central_drag``            |
-    | colloid-solvent | ``balanced_repulsion``               | ``balanced_drag``           |
-    | colloid-colloid | ``contact`` and the attraction       | ``central_drag`` and lubrication |
+    ===============  ==============================  ================================
+    pair             conservative                    drag
+    ===============  ==============================  ================================
+    solvent-solvent  ``soft_repulsion``              ``central_drag``
+    colloid-solvent  ``balanced_repulsion``          ``balanced_drag``
+    colloid-colloid  ``contact`` and the attraction  ``central_drag`` and lubrication
+    ===============  ==============================  ================================
 
     Stresses of contacts, of the attraction and of lubrication are kept as ``contact``, ``colloid``
     and ``lubrication``. Every number is a leaf, and a traced one will do; ``fluid.set(kT=...)``
@@ -58,10 +60,10 @@ def colloid_fluid(
 
     Args:
         kT: thermal energy [energy].
-        gamma: friction of every pair [mass/time].
-        eta_0: viscosity of the solvent, for lubrication [energy time/volume]: that of this gamma,
-            see ``dpd.calibrate``.
-        D0, kappa, r0: depth [energy], inverse range [1/length], 30/r_c by default, and place
+        gamma: friction of every pair [mass / time].
+        eta_0: viscosity of the solvent, for lubrication [energy time / volume]: that of this gamma,
+            see :func:`dpdjax.calibrate`.
+        D0, kappa, r0: depth [energy], inverse range [1 / length], 30/r_c by default, and place
             [length] of a Morse attraction.
         radius: of a colloid [length]; r_c by default.
         density: solvent beads per volume, 3/r_c^3 by default; a colloid is as heavy as what it
@@ -69,19 +71,29 @@ def colloid_fluid(
         r_c: reach of all forces but the contact's [length].
         solvent_mass: of a solvent bead [mass].
         repulsion: strength of the soft repulsions ``a r_c`` [kT].
-        modulus: contact force ``f`` [kT/r_c].
+        modulus: contact force ``f`` [kT / r_c].
         Delta, delta: roughness for contacts, and gap below which lubrication is constant [length];
             r_c/1000 by default.
         attraction: one or more potentials of the gap in place of Morse, e.g.
             ``dpd.term(dpd.laws.asakura_oosawa, ...)``; without it for a start, set its depth to
             zero, e.g. ``fluid.set(phi_p=0.0)``.
-        solvent_repulsion: or ``dpd.laws.scripts_repulsion``.
-        contact: or ``dpd.laws.scaled_contact``.
-        lubrication: or ``dpd.laws.unequal_lubrication``, exact for unequal radii.
+        solvent_repulsion: or :func:`dpdjax.laws.scripts_repulsion`.
+        contact: or :func:`dpdjax.laws.scaled_contact`.
+        lubrication: or :func:`dpdjax.laws.unequal_lubrication`, exact for unequal radii.
         noise: ``"exact"``, or ``"literal"`` for drag and noise of colloids as first published,
             which cools close pairs.
 
-    Raises ValueError for numbers no fluid can have, and an unknown noise.
+    Returns a :class:`dpdjax.Fluid`. Raises ValueError for numbers no fluid can have, and an unknown
+    noise.
+
+    Example:
+        >>> sticky = dpd.colloid_fluid(kT=0.1, gamma=4.5, eta_0=0.3, D0=1.2, kappa=30.0)
+        >>> print(sticky)
+        kT 0.1, mass [ 1. , 12.566371]
+        ...
+        1-1  morse, D0 1.2, kappa 30, r0 0, r_c 1: -12 kT at contact, 12 kT deep at h = 0
+        ...
+        >>> repelling = sticky.set(D0=0.0)
     """
     kT, r_c, solvent_mass = (
         one(kT, "kT", not_negative),
@@ -139,6 +151,10 @@ def pure_solvent(fluid: Fluid) -> Fluid:
     """The solvent of a suspension alone: what its viscosity is to be measured of.
 
     Raises ValueError for a fluid whose first species does not interact with itself, or with bonds.
+
+    Example:
+        >>> dpd.pure_solvent(made.fluid)
+        Fluid(kT=0.1, 1 species, 0-0: soft_repulsion, central_drag)
     """
     if fluid.bonded:
         raise ValueError(
@@ -172,6 +188,12 @@ def diffusion_time(fluid: Fluid) -> jax.Array:
     Results of suspensions are told in ``t/tau``. It supposes stick, and that ``eta_0`` is the
     viscosity of the solvent. Raises TypeError for a fluid without a viscosity or radius, ValueError
     for one with two viscosities.
+
+    Example:
+        >>> round(float(dpd.theory.diffusion_time(made.fluid)), 2)  # 6 pi eta_0 R^3 / kT
+        56.55
+        >>> round(gel.tau, 2)
+        56.55
     """
     radius = fluid.radius[-1]
     if radius is None:

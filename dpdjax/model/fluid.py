@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import choice, is_concrete, not_negative, positive, whole
+from dpdjax.checks import Numbers, choice, is_concrete, not_negative, positive, whole
 from dpdjax.model import summary
 from dpdjax.model.bonded import BEADS, Bonded, Terms, bonded, refuse_tables
 from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
@@ -31,6 +31,12 @@ class Interaction:
         drag: frictions; their coefficients add up, and the noise follows from the sum.
         random: frictions the noise follows from instead, or None.
         groups: species of either group; twice the same for the pairs within one (static).
+
+    Example:
+        >>> [i.groups for i in made.fluid.interactions]
+        [((0,), (0,)), ((0,), (1,)), ((1,), (1,))]
+        >>> made.fluid.interactions[1].drag
+        (balanced_drag(gamma=4.5, r_c=1),)
     """
 
     conservative: tuple[Term, ...]
@@ -40,6 +46,7 @@ class Interaction:
 
     @property
     def terms(self) -> tuple[Term, ...]:
+        """All its terms, potentials, frictions and those of the noise."""
         return self.conservative + self.drag + (self.random or ())
 
     @property
@@ -61,9 +68,10 @@ class Interaction:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, repr=False)
 class Fluid:
-    """Everything the matter is, and nothing of where it is; build it with :func:`fluid`.
+    """Everything the matter is, and nothing of where it is; build it with :func:`dpdjax.fluid`.
 
-    Every number is a leaf, so ``jax.vmap`` and ``jax.grad`` work over any of them.
+    Every number is a leaf, so ``jax.vmap`` and ``jax.grad`` work over any of them. Printed, it
+    tells each law, its numbers and its energies in kT.
 
     Attributes:
         interactions: one for each pair of groups that interact.
@@ -73,6 +81,16 @@ class Fluid:
         inertia: of each species its moment of inertia [mass length^2], or None where it does not
             rotate.
         bonded: one for each type of bonds, of angles and of dihedrals.
+
+    Example:
+        >>> water
+        Fluid(kT=1, 1 species, 0-0: soft_repulsion, central_drag)
+        >>> print(water.set(gamma=9.0))
+        kT 1, mass [1.]
+        0-0  soft_repulsion, a 25, r_c 1: 12.5 kT at contact
+        0-0  central_drag, gamma 9, r_c 1
+        >>> water.coefficients, float(water.value("a"))
+        (('a', 'gamma', 'r_c'), 25.0)
     """
 
     interactions: tuple[Interaction, ...]
@@ -107,10 +125,12 @@ class Fluid:
 
     @property
     def species(self) -> int:
+        """Number of species."""
         return len(self.radius)
 
     @property
     def has_radii(self) -> bool:
+        """Whether any species has a radius."""
         return any(r is not None for r in self.radius)
 
     @property
@@ -158,7 +178,7 @@ class Fluid:
 
     @property
     def coefficients(self) -> tuple[str, ...]:
-        """The names of all coefficients; :meth:`value` has their numbers."""
+        """The names of all coefficients; ``value`` has their numbers."""
         return tuple(
             sorted({name for part in self.parts for t in part.terms for name in t.coefficients})
         )
@@ -226,11 +246,10 @@ class Fluid:
     ) -> "Fluid":
         """A copy with new numbers, fluid-wide: every term that has the coefficient takes it.
 
-        ``between``: the two species (or groups of species) whose terms alone take them, or the name
-        of a type of bonds. ``kT``,
-        ``mass`` and ``inertia`` are set the same way, of the whole fluid; ``inertia`` of all
-        species that rotate, which a new mass leaves as it is. Raises TypeError for a name that no
-        term knows, ValueError for a value that no fluid can have.
+        ``between``: the two species (or groups of species) whose terms alone take them, or the
+        name of a type of bonds. ``kT``, ``mass`` and ``inertia`` are set the same way, of the whole
+        fluid; ``inertia`` of all species that rotate, which a new mass leaves as it is. Raises
+        TypeError for a name that no term knows, ValueError for a value that no fluid can have.
 
         ``energies``: what a new ``kT`` does to the potentials. ``"keep"`` leaves their coefficients
         as they are, so that a repulsion of 25 kT is one of 250 at a tenth of kT; ``"scale"`` keeps
@@ -275,9 +294,9 @@ class Fluid:
 
 def interaction(
     between: Sequence,
-    conservative: Sequence[Term] = (),
-    drag: Sequence[Term] = (),
-    random: Sequence[Term] | None = None,
+    conservative: Term | Sequence[Term] = (),
+    drag: Term | Sequence[Term] = (),
+    random: Term | Sequence[Term] | None = None,
 ) -> Interaction:
     """What acts between two groups of beads, or within one.
 
@@ -291,6 +310,13 @@ def interaction(
 
     Raises ValueError for groups that overlap, without any term, or for a law that declares itself
     of the other kind; TypeError for what is not a term.
+
+    Example:
+        >>> soft = dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)
+        >>> drag = dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)
+        >>> dpd.fluid(kT=1.0, interactions=[dpd.interaction((0, 0), soft, drag),
+        ...                                 dpd.interaction((0, 1), soft)])
+        Fluid(kT=1, 2 species, 0-0: soft_repulsion, central_drag; 0-1: soft_repulsion)
     """
     given = {"conservative": conservative, "drag": drag, "random": () if random is None else random}
     parts = [tuple(several(terms, name)) for name, terms in given.items()]
@@ -321,7 +347,7 @@ def fluid(
     drag: Sequence[Term] = (),
     *,
     kT: ArrayLike,
-    mass: ArrayLike = 1.0,
+    mass: Numbers = 1.0,
     radius: Any = None,
     inertia: Any = None,
     species: int | None = None,
@@ -344,16 +370,25 @@ def fluid(
             rotate. What rotates has a radius; frictions that are not central turn it.
         species: how many; read off the tables, ``mass`` and ``radius`` where not given.
         interactions: of several groups, each with its own terms and its own list of neighbours, in
-            place of ``conservative`` and ``drag``; from :func:`interaction`.
+            place of ``conservative`` and ``drag``; from :func:`dpdjax.interaction`.
         bonds, angles, dihedrals: what acts along them, e.g. ``bonds=dpd.term(
             dpd.laws.harmonic_bond, k=4.0)``; of several types by name, ``bonds={"AA": ..., "AB":
             ...}``. Which beads they are of is the state's, ``state.bonded({"AA": pairs, ...})``.
+
+    Returns a :class:`dpdjax.Fluid`.
 
     Raises:
         ValueError: negative ``kT`` or ``gamma``, mass, radius or inertia not above zero, tables of
             different size, groups that overlap in part, no term at all, points that rotate, two
             types of bonds of one name.
         TypeError: something that is not a term.
+
+    Example:
+        >>> repulsion = dpd.term(dpd.soft_repulsion, a=[[25.0, 40.0], [40.0, 25.0]], r_c=1.0)
+        >>> drag = dpd.term(dpd.central_drag, gamma=4.5, r_c=1.0)
+        >>> oil_and_water = dpd.fluid(conservative=[repulsion], drag=[drag], kT=1.0)
+        >>> oil_and_water
+        Fluid(kT=1, 2 species, (0, 1)-(0, 1): soft_repulsion, central_drag)
     """
     given = zip(BEADS, (bonds, angles, dihedrals))
     types = tuple(b for kind, terms in given for b in bonded(kind, terms))

@@ -39,6 +39,15 @@ def shifted_repulsion(
 
     ``4 epsilon [(sigma/(r - r_0))^12 - (sigma/(r - r_0))^6 + 1/4]``, cut where it vanishes, at
     ``r - r_0 = 2^(1/6) sigma`` (the cut printed there, ``sigma``, leaves a jump of ``epsilon``).
+    ``epsilon`` [energy], ``sigma`` and ``r_0`` [length]; ``r = h + R_i + R_j``.
+
+    Example:
+        >>> at = dict(epsilon=1.0, sigma=1.0, r_0=2.0, R_i=0.0, R_j=3.0)
+        >>> [round(float(dpd.laws.shifted_repulsion(h, **at)), 2) for h in (0.0, 0.05)]
+        [1.0, 0.24]
+        >>> reach = 2 ** (1 / 6) - 1.0
+        >>> abs(float(dpd.laws.shifted_repulsion(reach, **at))) < 1e-5
+        True
     """
     # A power of a negative number of whole sixths has no slope problem, but beads inside must be
     # pushed out, not in.
@@ -60,5 +69,11 @@ def surface_drag(h: ArrayLike, *, gamma_cs: ArrayLike, r_c: ArrayLike) -> jax.Ar
     The gap ``|h| = |r - R|`` is the distance from the bead to the surface. Acts on the whole
     relative velocity unless told otherwise: ``dpd.term(dpd.laws.surface_drag, projector="central",
     ...)`` is their eq. 8, ``"transverse"`` their eq. 10. ``gamma_cs`` [mass / time] tunes slip.
+
+    Example:
+        >>> [float(dpd.laws.surface_drag(h, gamma_cs=5.0, r_c=1.0)) for h in (-0.5, 0.0, 0.5)]
+        [1.25, 5.0, 1.25]
+        >>> dpd.term(dpd.laws.surface_drag, gamma_cs=5.0, r_c=1.0)
+        surface_drag(gamma_cs=5, r_c=1, projector='full')
     """
     return gamma_cs * jnp.maximum(1.0 - jnp.abs(h) / r_c, 0.0) ** 2

@@ -36,16 +36,17 @@ def marble_fluid(
     friction: Term | Sequence[Term] = (),
 ) -> Fluid:
     """Solvent beads (species 0) and large spheres (species 1) that rotate, and whose surface drags
-    the solvent.
+    the solvent (Zhou & Schmid 2015).
 
-    | pair            | conservative                          | drag                             |
-    |-----------------|---------------------------------------|----------------------------------|
-    | solvent-solvent | ``soft_repulsion``, given ``a``       | ``central_drag``, and            |
-    |                 |                                       | ``transverse_drag``, given       |
-    |                 |                                       | ``gamma_t``                      |
-    | marble-solvent  | ``shifted_repulsion``                 | ``surface_drag``, with the       |
-    |                 |                                       | projector ``coupling``           |
-    | marble-marble   | ``shifted_repulsion``, ``attraction`` | ``friction``                     |
+    ===============  =====================================  ====================================
+    pair             conservative                           drag
+    ===============  =====================================  ====================================
+    solvent-solvent  ``soft_repulsion``, given ``a``        ``central_drag``, and
+                                                            ``transverse_drag`` by ``gamma_t``
+    marble-solvent   ``shifted_repulsion``                  ``surface_drag``, with the projector
+                                                            ``coupling``
+    marble-marble    ``shifted_repulsion``, ``attraction``  ``friction``
+    ===============  =====================================  ====================================
 
     Full coupling acts at the point of the surface next to the bead, which moves with the sphere and
     turns with it; it goes from full slip at ``gamma_cs = 0`` towards none. Momentum is conserved,
@@ -53,11 +54,11 @@ def marble_fluid(
 
     Args:
         kT: thermal energy [energy].
-        gamma, gamma_cs: friction of the solvent and of the surface [mass/time].
+        gamma, gamma_cs: friction of the solvent and of the surface [mass / time].
         coupling: ``"full"``, ``"transverse"``, or ``"central"``, which exerts no torque: the marble
             spins as it started.
-        a: soft repulsion of the solvent [energy/length]; none by default.
-        gamma_t: transverse friction of the solvent [mass/time]; none by default.
+        a: soft repulsion of the solvent [energy / length]; none by default.
+        gamma_t: transverse friction of the solvent [mass / time]; none by default.
         radius: of a marble [length]; 3 r_c by default.
         density: solvent beads per volume, 3/r_c^3 by default; a marble is as heavy as what it
             displaces.
@@ -66,14 +67,22 @@ def marble_fluid(
         epsilon, sigma, r_0: of the repulsion of a marble and solvent [energy, length, length];
             ``kT``, ``r_c`` and ``radius - sigma`` by default. Two marbles repel alike, from
             ``2 radius - sigma`` on.
-        mass, inertia: of a marble; ``4 pi radius^3 density solvent_mass/3`` and
-            ``2/5 mass radius^2`` by default.
+        mass, inertia: of a marble [mass, mass length^2]; ``4 pi radius^3 density solvent_mass/3``
+            and ``2/5 mass radius^2`` by default.
         is_several: whether there is more than one, so that they need a list of their own.
         attraction, friction: further potentials and frictions between marbles, such as those of
-            ``dpd.colloid_fluid``.
+            :func:`dpdjax.colloid_fluid`.
 
-    Raises ValueError for numbers no fluid can have, an unknown coupling, forces between marbles of
-    which there is one.
+    Returns a :class:`dpdjax.Fluid`. Raises ValueError for numbers no fluid can have, an unknown
+    coupling, forces between marbles of which there is one.
+
+    Example:
+        >>> slipping = dpd.marble_fluid(radius=3.0, gamma_cs=0.5, a=25.0)
+        >>> slipping
+        Fluid(kT=1, 2 species, 0-0: soft_repulsion, central_drag;
+              0-1: shifted_repulsion, surface_drag)
+        >>> slipping.rotating
+        (1,)
     """
     kT, r_c, solvent_mass = (
         not_negative(kT, "kT"),

@@ -9,9 +9,8 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
-from dpdjax.checks import is_concrete
+from dpdjax.checks import Numbers, is_concrete
 from dpdjax.model.bonded import Bonded
 from dpdjax.model.fluid import Fluid, Interaction
 from dpdjax.model.term import ACROSS, ALONG, CENTRAL, FULL, TRANSVERSE, Whole
@@ -29,8 +28,14 @@ TOUCHING = 1e-6
 
 
 def thermal_time(fluid: Fluid) -> float:
-    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach [time]; infinite at kT
-    0."""
+    """``r_c sqrt(m / kT)`` of the lightest beads and the shortest reach [time]; infinite at kT 0.
+
+    Example:
+        >>> dpd.theory.thermal_time(water)
+        1.0
+        >>> dpd.theory.thermal_time(water.set(mass=4.0))
+        2.0
+    """
     return shortest_reach(fluid) * math.sqrt(
         over(float(np.min(fluid.mass)), float(np.max(fluid.kT)))
     )
@@ -49,15 +54,19 @@ def over(number: float, rate: float) -> float:
     return number / rate if rate > 0 else math.inf
 
 
-def damping_rate(fluid: Fluid, density: ArrayLike) -> float:
+def damping_rate(fluid: Fluid, density: Numbers) -> float:
     """Largest rate at which drag damps the velocity of a bead in a solvent, ``density / 3 m`` times
-    the integral of zeta [1/time].
+    the integral of zeta over the volume [1 / time].
 
     Twice or three times that for frictions across the line of centres, or in all directions. Or
     that of the spin of a sphere, twice ``density R^2 / 3 I`` times the integral for what acts
     across.
 
-    ``density`` as for :func:`suggest_dt`. Drag between colloids is not in it.
+    ``density`` as for :func:`dpdjax.suggest_dt`. Drag between colloids is not in it.
+
+    Example:
+        >>> round(dpd.theory.damping_rate(water, density=3.0), 3)  # 2 pi gamma density / 45
+        1.885
     """
     densities = _densities(fluid, density)
     rates, spins = np.zeros(fluid.species), np.zeros(fluid.species)
@@ -79,6 +88,12 @@ def drag_viscosity(fluid: Fluid, density: float) -> float:
     ``2 pi gamma density^2 r_c^5 / 1575`` for ``zeta = gamma w^2``; four times that for frictions
     across the line of centres, five times for those in all directions, as beads that do not turn
     feel the whole flow.
+
+    Example:
+        >>> round(dpd.theory.drag_viscosity(water, density=3.0), 4)
+        0.1616
+        >>> round(2 * np.pi * 4.5 * 3.0**2 / 1575, 4)
+        0.1616
     """
     fourth = [
         (DRAG_STRESS[t.projector], _integral(fluid, i, t, 4))
@@ -89,10 +104,17 @@ def drag_viscosity(fluid: Fluid, density: float) -> float:
 
 
 def kinetic_theory_viscosity(fluid: Fluid, density: float) -> float:
-    """The viscosity without correlations, ``rho m D / 2`` and :func:`drag_viscosity` (Marsh et al.
-    1997); 40 % off.
+    """The viscosity without correlations [energy time / volume], ``rho m D / 2`` and
+    :func:`dpdjax.theory.drag_viscosity` (Marsh et al. 1997); 40 % off.
 
     Infinite without drag.
+
+    Example:
+        >>> round(dpd.theory.kinetic_theory_viscosity(water, density=3.0), 3)
+        0.957
+        >>> share = dpd.theory.drag_viscosity(water, 3.0)
+        >>> round(3.0 / 2 / dpd.theory.damping_rate(water, 3.0) + share, 3)
+        0.957
     """
     return over(0.5 * density * float(fluid.kT), damping_rate(fluid, density)) + drag_viscosity(
         fluid, density

@@ -86,7 +86,7 @@ class Whole:
         return structure, tuple(shapes)
 
 
-def whole(value: ArrayLike, *, batch: bool = False) -> Whole:
+def whole(value: Any, *, batch: bool = False) -> Whole:
     """A coefficient of any shape, for a law that takes arrays: values at knots, the weights of a
     network.
 
@@ -94,8 +94,15 @@ def whole(value: ArrayLike, *, batch: bool = False) -> Whole:
         value: an array of floats, or a pytree of them.
         batch: whether its first axis is that of a batch, a member for each key of a run.
 
-    Raises TypeError for what is no array, ValueError for what is not finite, or is a batch without
-    an axis for it.
+    Returns a :class:`dpdjax.model.term.Whole`. Raises TypeError for what is no array, ValueError
+    for what is not finite, or is a batch without an axis for it.
+
+    Example:
+        >>> def tabled(h, *, values, r_c):
+        ...     return jnp.interp(h / r_c, jnp.linspace(0.0, 1.0, 5), values)
+        >>> values = dpd.whole(jnp.array([12.5, 7.0, 3.1, 0.8, 0.0]))
+        >>> dpd.term(tabled, values=values, r_c=1.0)
+        tabled(values=whole((5,)), r_c=1)
     """
     arrays = jax.tree.map(lambda leaf: number(leaf, "whole"), value)
     ranks = tuple(leaf.ndim - int(batch) for leaf in jax.tree.leaves(arrays))
@@ -119,15 +126,23 @@ def coefficient(value, name: str, old=None):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, repr=False)
 class Term:
-    """A law and its coefficients; build it with :func:`term`.
+    """A law and its coefficients; build it with :func:`dpdjax.term`.
 
     Attributes:
         law: the pair function (static).
-        coefficients: name -> scalar, (species, species) table, or :class:`Whole` (leaves).
-        cut: gap beyond which the law is zero, where that is a number of its own (leaf).
+        coefficients: name -> scalar, (species, species) table, or
+            :class:`dpdjax.model.term.Whole` (leaves).
+        cut: gap beyond which the law is zero, where that is a number of its own [length] (leaf).
         reach: function of the coefficients and of what is given, where it is computed (static).
         origin: name under which its stress is kept, where that is not its kind (static).
         projector: of a friction, the part of the relative velocity it acts on (static).
+
+    Example:
+        >>> repulsion, *_ = water.interactions[0].conservative
+        >>> repulsion
+        soft_repulsion(a=25, r_c=1)
+        >>> float(repulsion.coefficients["a"]), repulsion.law is dpd.soft_repulsion
+        (25.0, True)
     """
 
     law: Callable = dataclasses.field(metadata={"static": True})
@@ -206,6 +221,12 @@ def term(
             not return real numbers of the shape of ``h``.
         ValueError: a table that is not square and symmetric; an origin that is taken; an unknown
             projector; a number outside what the law declares with ``dpd.laws.bounded``.
+
+    Example:
+        >>> def yukawa(h, *, strength, kappa):
+        ...     return strength * jnp.exp(-kappa * h) / h
+        >>> dpd.term(yukawa, strength=2.0, kappa=3.0, reach=1.0)
+        yukawa(strength=2, kappa=3, reach=1)
     """
     if not callable(law) or isinstance(law, type):
         raise TypeError(f"law is {law!r}; give a function law(h, *, ...)")

@@ -91,12 +91,11 @@ class Units:
         length, mass, time = DIMENSIONS[dimension]
         return self.length**length * self.mass**mass * self.time**time
 
-    def to_si(self, value: ArrayLike, dimension: str) -> Any:
-        """A number, array or ``Estimate`` in DPD units as SI, ``to_si(0.85, "viscosity")`` [Pa
-        s]."""
+    def to_si(self, value: Any, dimension: str) -> Any:
+        """A number, array or ``Estimate`` in SI, ``to_si(0.85, "viscosity")`` [Pa s]."""
         return _times(value, self.scale(dimension))
 
-    def from_si(self, value: ArrayLike, dimension: str) -> Any:
+    def from_si(self, value: Any, dimension: str) -> Any:
         """A number, array or ``Estimate`` in SI as DPD units, ``from_si(1e-3, "viscosity")``."""
         return _times(value, 1.0 / self.scale(dimension))
 
@@ -118,12 +117,14 @@ def water_units(
     The length is ``r_c = (density molecules 30 A^3)^(1/3)``, 6.463 A; beads at ``density``
     then weigh 996 kg/m^3. The time depends on what is to be matched:
 
-    | ``time``           | one time unit               |         | mass unit   | energy unit |
-    |--------------------|-----------------------------|---------|-------------|-------------|
-    | "thermal"          | r_c sqrt(m / E)             | 3.02 ps | bead m      | E           |
-    | "diffusion"        | molecules D r_c^2 / D_water | 88 ps   | 850 beads   | E           |
-    | "viscosity_energy" | eta_water r_c^3 / (eta E)   | 77 ps   | 650 beads   | E           |
-    | "viscosity_mass"   | eta m / (eta_water r_c)     | 0.12 ps | bead m      | 650 E       |
+    ====================  ===============================  =======  ============  ============
+    ``time``              one time unit                             mass unit     energy unit
+    ====================  ===============================  =======  ============  ============
+    "thermal"             ``r_c sqrt(m / E)``              3.02 ps  bead m        E
+    "diffusion"           ``molecules D r_c^2 / D_water``  88 ps    850 beads     E
+    "viscosity_energy"    ``eta_water r_c^3 / (eta E)``    77 ps    650 beads     E
+    "viscosity_mass"      ``eta m / (eta_water r_c)``      0.12 ps  bead m        650 E
+    ====================  ===============================  =======  ============  ============
 
     with ``E = k_B temperature / kT``. What each gives up:
 
@@ -154,7 +155,15 @@ def water_units(
             2.3e-9.
         water_viscosity: [Pa s]; rounded, it is 0.89e-3 at 298 K.
 
-    Raises ValueError for another name of ``time`` or a number not above zero.
+    Returns :class:`dpdjax.model.units.Units`. Raises ValueError for another name of ``time`` or a
+    number not above zero.
+
+    Example:
+        >>> units = dpd.water_units()
+        >>> round(units.to_si(1.0, "length") * 1e10, 3), round(units.to_si(1.0, "time") * 1e12, 2)
+        (6.463, 3.02)
+        >>> round(dpd.water_units("diffusion").to_si(1.0, "time") * 1e12, 1)
+        88.2
     """
     if not isinstance(time, str) or time not in NOTES:
         raise ValueError(f"no time unit {time!r}; there are {', '.join(NOTES)}")
@@ -196,7 +205,7 @@ def water(
 ) -> Fluid:
     """The standard DPD fluid, to be used at a density of 3 beads per ``r_c^3``.
 
-    Groot & Warren (1997). Its sizes in SI: :func:`water_units`.
+    Groot & Warren (1997). Its sizes in SI: :func:`dpdjax.water_units`.
 
     Args:
         a: repulsion [energy / length]; 25 kT / r_c by default, so it follows ``kT``.
@@ -205,7 +214,13 @@ def water(
         r_c: cut-off [length].
         mass: of a bead [mass].
 
-    Raises ValueError for numbers no fluid can have.
+    Returns a :class:`dpdjax.Fluid`. Raises ValueError for numbers no fluid can have.
+
+    Example:
+        >>> print(dpd.water(kT=0.5, gamma=9.0))
+        kT 0.5, mass [1.]
+        0-0  soft_repulsion, a 12.5, r_c 1: 12.5 kT at contact
+        0-0  central_drag, gamma 9, r_c 1
     """
     if a is None:
         a = 25.0 * positive(kT, "kT", "or give a=...") / positive(r_c, "r_c")
@@ -227,6 +242,10 @@ def flory_huggins(excess: ArrayLike, *, density: float = 3.0, kT: ArrayLike = 1.
 
     Fitted to profiles of demixed fluids with chi of 3 and more (Groot & Warren 1997, eqs. 22 and
     23). Raises ValueError for densities other than 3 and 5, which were fitted.
+
+    Example:
+        >>> round(float(dpd.theory.flory_huggins(40.0 - 25.0)), 2)
+        4.29
     """
     density = plain(density, "density", positive)
     if density not in CHI:
@@ -247,6 +266,10 @@ def repulsion_from_compressibility(
 
     Raises ValueError for a number not above zero, or ``1/kappa`` below 1, which is that of
     an ideal gas.
+
+    Example:
+        >>> [round(float(dpd.theory.repulsion_from_compressibility(n * 16.0)), 1) for n in (1, 3)]
+        [25.0, 78.3]
     """
     stiffness = positive(inverse_compressibility, "inverse_compressibility")
     if is_concrete(stiffness) and (stiffness < 1).any():

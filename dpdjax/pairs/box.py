@@ -18,11 +18,18 @@ from dpdjax.checks import positive
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Box:
-    """A periodic box under shear.
+    """A periodic box under shear: the lattice ``Lx e_x``, ``strain Ly e_x + Ly e_y``, ``Lz e_z``.
 
     Attributes:
         lengths: sides, shape (3,) [length].
         strain: shear displacement of the upper y-image over Ly, modulo Lx/Ly.
+
+    Example:
+        >>> box = sheared.final.box
+        >>> box.lengths.tolist(), float(box.volume), round(float(box.strain), 3)
+        ([4.0, 4.0, 4.0], 64.0, 0.4)
+        >>> round(float(box.strained(0.2).strain), 3)  # within half a period of zero
+        -0.4
     """
 
     lengths: Any
@@ -30,6 +37,7 @@ class Box:
 
     @property
     def volume(self) -> jax.Array:
+        """Product of the sides [volume]."""
         return self.lengths[0] * self.lengths[1] * self.lengths[2]
 
     def strained(self, increment: ArrayLike) -> "Box":
@@ -65,7 +73,14 @@ def minimum_image(box: Box, dx, dy, dz):
 
 
 def displacement(box: Box, ra: jax.Array, rb: jax.Array) -> jax.Array:
-    """Nearest-image separation ``ra - rb`` of Cartesian positions (..., 3) [length]."""
+    """Nearest-image separation ``ra - rb`` of Cartesian positions (..., 3) [length].
+
+    Example:
+        >>> box = rest.final.box  # sides of 4
+        >>> a, b = jnp.array([0.5, 1.0, 1.0]), jnp.array([3.5, 1.0, 1.0])
+        >>> dpd.observe.displacement(box, a, b).tolist()
+        [1.0, 0.0, 0.0]
+    """
     d = ra - rb
     return jnp.stack(minimum_image(box, d[..., 0], d[..., 1], d[..., 2]), axis=-1)
 

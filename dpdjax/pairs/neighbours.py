@@ -12,7 +12,7 @@ import math
 import sys
 import types
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -236,9 +236,9 @@ class Neighbours:
         grid: static shape of the list.
     """
 
-    list: object
-    strain: object
-    lengths: object
+    list: Any
+    strain: jax.Array
+    lengths: jax.Array
     grid: Grid = dataclasses.field(metadata={"static": True})
 
 

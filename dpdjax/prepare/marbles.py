@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from jax.typing import ArrayLike
 
-from dpdjax.checks import positive, prng_key, whole
+from dpdjax.checks import Numbers, positive, prng_key, whole
 from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
@@ -100,7 +99,7 @@ class Marbles:
 def marbles(
     key: jax.Array,
     *,
-    box: ArrayLike,
+    box: Numbers,
     count: int = 1,
     radius: float | None = None,
     density: float | None = None,
@@ -131,6 +130,15 @@ def marbles(
 
     Raises ValueError for a box too small for the lists or the marbles, and numbers no fluid can
     have.
+
+    Example:
+        >>> marble = dpd.marbles(key, box=6.0, radius=1.0, gamma_cs=5.0, report=None)
+        >>> marble.count, marble.solvents, round(marble.share, 4)
+        (1, 635, 0.0194)
+        >>> print(marble)
+        1 marble and 635 solvent beads in 6 x 6 x 6
+        marbles: radius 1, mass 12.57 (1.94 % of the whole), inertia 5.027
+        ...
     """
     key = prng_key(key)
     count = whole(count, "count")

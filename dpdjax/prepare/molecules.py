@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from dpdjax.checks import choice, plain, positive, prng_key, whole
+from dpdjax.checks import Numbers, choice, plain, positive, prng_key, whole
 from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.refusals import check_bonds
@@ -81,7 +81,7 @@ def molecules(
     key: jax.Array,
     amounts: str | Mapping[str, float],
     *,
-    box: ArrayLike,
+    box: Numbers,
     density: float | None = None,
     a: ArrayLike | Mapping[str, float] | None = None,
     gamma: ArrayLike | Mapping[str, float] = 4.5,
@@ -136,6 +136,13 @@ def molecules(
         ValueError: a word that is none, shares that do not add up to 1, pairs without a number,
             names of bonds that no molecule has, a box too small for the lists.
         TypeError: amounts or terms of another kind.
+
+    Example:
+        >>> melt = dpd.molecules(key, "A5", box=7.0, report=None)
+        >>> melt.ids["A5"].shape, melt.species
+        ((206, 5), {'A': 0})
+        >>> melt.state
+        State(1030 beads, 824 bond, box 7 x 7 x 7, step 0, time 0)
     """
     key = prng_key(key)
     lengths = np.broadcast_to(np.asarray(positive(box, "box"), float), (3,))
@@ -184,9 +191,15 @@ def _warn_of_short_sides(made: Fluid, lengths):
     if min(lengths) < least:
         warnings.warn(
             f"bonds {longest:.2g} long on average reach half of a side of {min(lengths):.3g} now "
-            f"and then, and a run ends there: use sides of {least:.2g} or more, or stiffer bonds",
+            f"and then, and a run ends there: use sides of {_up(least):g} or more, or stiffer bonds",
             stacklevel=3,
         )
+
+
+def _up(length: float) -> float:
+    """Rounded up to two digits: advice that is as good as it says."""
+    digit = 10.0 ** (math.floor(math.log10(length)) - 1)
+    return math.ceil(length / digit - 1e-9) * digit
 
 
 def _refuse_wrapped(made: Fluid, state: State):

@@ -5,9 +5,18 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
-from dpdjax.checks import choice, is_concrete, not_negative, plain, positive, prng_key, truth, whole
+from dpdjax.checks import (
+    Numbers,
+    choice,
+    is_concrete,
+    not_negative,
+    plain,
+    positive,
+    prng_key,
+    truth,
+    whole,
+)
 from dpdjax.engine import soundness
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
@@ -32,8 +41,8 @@ def initial_state(
     fluid: Fluid,
     key: jax.Array,
     *,
-    box: ArrayLike,
-    density: ArrayLike | None = None,
+    box: Numbers,
+    density: Numbers | None = None,
     n: int | Sequence[int] | None = None,
     start: str = "random",
     fractions: Sequence[float] | None = None,
@@ -57,15 +66,25 @@ def initial_state(
         fractions: share of each species, equal by default.
         skin: margin of the neighbour lists [length]; by default the cheapest for ``dt`` that the
             box has room for.
-        dt: time step the skin is chosen for; by default :func:`suggest_dt`.
+        dt: time step the skin is chosen for [time]; by default that of :func:`dpdjax.suggest_dt`.
         sheared: leave room in the lists for a tilted box.
 
-    Returns a :class:`State`; works under ``vmap`` over ``key``.
+    Returns a :class:`dpdjax.State`; works under ``vmap`` over ``key``, of points.
 
     Raises:
         ValueError: a box below ``2 (reach + skin)``, density x volume below 2, counts
             and box that disagree.
         TypeError: no key.
+
+    Example:
+        >>> dpd.initial_state(water, key, box=4.0, density=3.0)
+        State(192 beads, box 4 x 4 x 4, step 0, time 0)
+        >>> dpd.initial_state(water, key, box=[4.0, 4.0, 4.0], n=192, start="lattice")
+        State(192 beads, box 4 x 4 x 4, step 0, time 0)
+        >>> dpd.initial_state(water, key, box=1.5, density=3.0)
+        Traceback (most recent call last):
+            ...
+        ValueError: box side 1.5 is below 2 (reach + skin) = ...
     """
     key = prng_key(key)
     if key.ndim:

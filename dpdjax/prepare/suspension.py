@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from jax.typing import ArrayLike
 
-from dpdjax.checks import positive, prng_key, whole
+from dpdjax.checks import Numbers, positive, prng_key, whole
 from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
@@ -107,9 +106,9 @@ def suspension(
     key: jax.Array,
     *,
     phi: float,
-    box: ArrayLike | None = None,
+    box: Numbers | None = None,
     colloids: int | None = None,
-    radius: ArrayLike = None,
+    radius: Numbers | None = None,
     spread: float = 0.0,
     density: float | None = None,
     skin: float | None = None,
@@ -142,6 +141,13 @@ def suspension(
 
     Raises ValueError for a box and a number or neither, a volume fraction that cannot be packed, a
     box too small for the lists.
+
+    Example:
+        >>> made = dpd.suspension(key, phi=0.2, box=7.0, kT=0.1, D0=1.2, kappa=30.0, report=None)
+        >>> made.colloids, made.solvents, round(made.phi, 4), round(made.tau, 2)
+        (16, 823, 0.1954, 56.55)
+        >>> made.integrator  # of the step made.dt
+        MultipleTimeStep(inner=..., stiff=None, tolerance=0.003)
     """
     key = prng_key(key)
     r_c = float(positive(numbers.get("r_c", 1.0), "r_c"))

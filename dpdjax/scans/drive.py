@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -33,7 +34,17 @@ SHARE, COPIES = 0.5, 8
 @dataclasses.dataclass(frozen=True)
 class Run:
     """A run that an experiment asks for, ``trajectory = yield dpd.Run(...)``; what it is made of is
-    as for :func:`dpdjax.run`."""
+    as for :func:`dpdjax.run`.
+
+    Example:
+        >>> def heat(key, gamma):
+        ...     fluid, plan = water.set(gamma=gamma), dpd.Plan(40, 5)
+        ...     ran = yield dpd.Run(fluid, state, key, 0.01, plan, observe=seen)
+        ...     return {"temperature": dpd.measure.block_average(ran.frames["temperature"])}
+        >>> table = dpd.scan(heat, {"gamma": [4.5, 9.0]}, key=key, **quiet)
+        >>> table.temperature.shape
+        (2,)
+    """
 
     fluid: Fluid
     state: State
@@ -117,13 +128,16 @@ def driven_together(experiment: Callable, keys: Sequence, points: Sequence[dict]
     """Experiments at several points, with the runs of equal shapes in one batch: for an
     accelerator, which is filled by many boxes side by side."""
     outcomes, asking = [Outcome() for _ in points], {}
+    notes: list[list[str]] = [[] for _ in points]
 
     def attempt(k: int, what: Callable):
-        try:
-            what()
-        except FAILURES as error:
-            asking.pop(k, None)
-            outcomes[k].reason = str(error) or type(error).__name__
+        with noted() as said:
+            try:
+                what()
+            except FAILURES as error:
+                asking.pop(k, None)
+                outcomes[k].reason = str(error) or type(error).__name__
+        notes[k] += said
 
     def begin(k):
         asking[k] = _Asking(experiment, keys[k], points[k])
@@ -136,17 +150,31 @@ def driven_together(experiment: Callable, keys: Sequence, points: Sequence[dict]
             break
         for group in _alike(wanted):
             began = time.monotonic()
-            try:
-                given = _batch_of([wanted[k] for k in group])
-            except FAILURES as error:
-                given = [error] * len(group)
-            for k, trajectory in zip(group, given):
+            with noted() as said:
+                try:
+                    given = _batch_of([wanted[k] for k in group])
+                except FAILURES as error:
+                    given = [error] * len(group)
+            for place, (k, trajectory) in enumerate(zip(group, given)):
+                notes[k] += _of_member(said, place)
                 outcomes[k].particle_steps += wanted[k].particle_steps
                 outcomes[k].seconds += (time.monotonic() - began) / len(group)
                 attempt(k, lambda: asking[k].give(trajectory))
     for k, ended in asking.items():
         outcomes[k].values = ended.values
+    for outcome, said in zip(outcomes, notes):
+        outcome.note = "; ".join(dict.fromkeys(said))
     return outcomes
+
+
+def _of_member(notes: list[str], place: int) -> list[str]:
+    """What a batch warned of that is said of all its members, or of one."""
+    mine = f"member {place}: "
+    return [
+        note.removeprefix(mine)
+        for note in notes
+        if note.startswith(mine) or not re.match(r"member \d+: ", note)
+    ]
 
 
 class _Asking:
@@ -221,7 +249,7 @@ def _most(one: Run) -> int:
     size = sum(
         np.size(x) * np.dtype(jnp.result_type(x)).itemsize for x in jax.tree.leaves(one.state)
     )
-    return max(1, int(SHARE * stats["bytes_limit"] * len(jax.devices()) / (COPIES * size)))
+    return max(1, int(SHARE * stats["bytes_limit"] / (COPIES * size)))
 
 
 def _batch_of(runs: Sequence[Run]) -> list:

@@ -23,6 +23,14 @@ def plot_scan(
 
     Returns the axes. Raises ValueError for a name that the table does not have, or more axes than
     can be drawn.
+
+    Example:
+        >>> def thinning(key, rate, gamma):
+        ...     return {"viscosity": dpd.Estimate(0.2 * gamma / (1 + rate), 0.01)}
+        >>> table = dpd.scan(thinning, {"rate": [0.1, 1.0], "gamma": [4.5, 9.0]}, key=key, **quiet)
+        >>> ax = dpd.plot_scan(table, x="rate", hue="gamma")
+        >>> [text.get_text() for text in ax.get_legend().get_texts()]
+        ['gamma = 4.5', 'gamma = 9']
     """
     numbers = [
         str(n)[: -len(ERROR)]

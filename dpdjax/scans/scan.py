@@ -84,6 +84,16 @@ def scan(
     end, when some means are of fewer replicas.
 
     Raises TypeError or ValueError for what is no grid, FileError for a store of another scan.
+
+    Example:
+        >>> def thinning(key, rate, gamma):
+        ...     return {"viscosity": dpd.Estimate(0.2 * gamma / (1 + rate), 0.01)}
+        >>> grid = {"rate": [0.1, 1.0], "gamma": [4.5, 9.0, 18.0]}
+        >>> table = dpd.scan(thinning, grid, key=key, **quiet)
+        >>> table.viscosity.sel(rate=1.0).values.round(3).tolist()
+        [0.45, 0.9, 1.8]
+        >>> table.attrs["complete"]
+        1
     """
     xarray_module()
     if not callable(experiment):

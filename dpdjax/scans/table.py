@@ -263,7 +263,15 @@ def write(path, dataset) -> None:
 
 
 def load_scan(path: str | os.PathLike):
-    """Read the table of a scan, an ``xarray.Dataset``; FileError for a file that is none."""
+    """Read the table of a scan, an ``xarray.Dataset``; FileError for a file that is none.
+
+    Example:
+        >>> def line(key, x):
+        ...     return {"y": dpd.Estimate(2.0 * x, 0.1)}
+        >>> table = dpd.scan(line, {"x": [1.0, 2.0]}, key=key, store="line.nc", **quiet)
+        >>> dpd.load_scan("line.nc").y.values.tolist()
+        [2.0, 4.0]
+    """
     xarray = xarray_module()
     try:
         with xarray.open_dataset(path, engine="scipy") as file:
@@ -283,6 +291,15 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
     """The tables of parts of one scan as one ``xarray.Dataset``, written to ``store`` if given.
 
     Raises FileError for tables of other scans, ValueError for none.
+
+    Example:
+        >>> def line(key, x):
+        ...     return {"y": dpd.Estimate(2.0 * x, 0.1)}
+        >>> for k in (1, 2):  # each a job of its own
+        ...     part = {"store": f"part-{k}.nc", "shard": (k, 2)}
+        ...     table = dpd.scan(line, {"x": [1.0, 2.0]}, key=key, **part, **quiet)
+        >>> dpd.merge_scans(["part-1.nc", "part-2.nc"]).y.values.tolist()
+        [2.0, 4.0]
     """
     if not paths:
         raise ValueError("paths is empty; give the tables of the parts")
@@ -312,6 +329,14 @@ def scan_points(table):
 
     ``table`` is what :func:`dpdjax.scan` returns; ``table.to_dataframe()`` has a row for each
     replica.
+
+    Example:
+        >>> def line(key, x):
+        ...     return {"y": dpd.Estimate(2.0 * x, 0.1)}
+        >>> table = dpd.scan(line, {"x": [1.0, 2.0]}, key=key, replicas=2, **quiet)
+        >>> points = dpd.scan_points(table)
+        >>> points[["x", "y", "replicas"]].values.tolist()
+        [[1.0, 2.0, 2.0], [2.0, 4.0, 2.0]]
     """
     names = [str(name) for name in table if REPLICA not in table[name].dims]
     done = (table["status"] == DONE).sum(REPLICA).rename("replicas")

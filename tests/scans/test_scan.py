@@ -179,6 +179,19 @@ def test_a_run_that_fails_is_named(water, fresh, key):
     assert not together[0].reason and "ran away" in together[1].reason
 
 
+def test_a_batch_keeps_what_was_warned_of_with_its_point(water, fresh, key):
+    def warm(key, *, rate):
+        ran = yield dpd.Run(water, fresh, key, 0.01, dpd.Plan(60, 5), dpd.shear(rate))
+        if rate < 1:
+            warnings.warn("slow", stacklevel=2)
+        return {"temperature": ran.frames["temperature"][-1]}
+
+    points = [{"rate": 0.1}, {"rate": 4.0}]
+    found = drive.driven_together(warm, list(jax.random.split(key)), points)
+    assert found[0].note == "slow"
+    assert "the shear heats it" in found[1].note and "member" not in found[1].note
+
+
 def test_a_mistake_in_the_experiment_ends_the_scan(key):
     for wrong, told in (
         (lambda key, x: undefined, "undefined"),  # noqa: F821
