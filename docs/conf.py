@@ -1,8 +1,7 @@
-"""The site: `sphinx-build -W docs build/docs` runs every cell of its pages and refuses a broken
+"""The site: `sphinx-build -W -j auto docs build/docs` runs every cell of its pages and refuses a broken
 reference."""
 
 import os
-import shutil
 import sys
 from pathlib import Path
 
@@ -39,14 +38,15 @@ nb_execution_cache_path = str(ROOT / "build" / "cells")
 nb_execution_excludepatterns = ["notebooks/*"]
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
+nb_execution_in_temp = True
 nb_merge_streams = True
-# A page is a process of its own; most compile the same programs.
+# A page is a process of its own, which mostly compiles: some programs are the same, all are short.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / "build" / "programs"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-shutil.rmtree(HERE / "notebooks", ignore_errors=True)
-shutil.copytree(ROOT / "notebooks", HERE / "notebooks")
+measured.copy_notebooks(HERE / "notebooks")
 measured.write(HERE / "measured")
 
 # ------------------------------------------------------------ text

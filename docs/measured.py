@@ -43,6 +43,17 @@ TELLING = (
 """File, script, room, and how the quantities begin that are shown; those with a reference."""
 
 
+def copy_notebooks(folder: Path):
+    """The executed notebooks, with their links to measured pages."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(ROOT / "notebooks", folder)
+    for notebook in folder.glob("*.ipynb"):
+        text = notebook.read_text()
+        for path in PAGES:
+            text = text.replace(f"](../{path})", f"](../measured/{page_name(path)})")
+        notebook.write_text(text)
+
+
 def page_name(path: str) -> str:
     folder, name = path.split("/")[1:]
     stem = "benchmarks" if name == "README.md" else Path(name).stem.lower()

@@ -53,7 +53,7 @@ from dpdjax.model.fluid import Fluid as Fluid, fluid as fluid, interaction as in
 from dpdjax.model.laws import central_drag as central_drag, soft_repulsion as soft_repulsion
 from dpdjax.model.marbles import marble_fluid as marble_fluid
 from dpdjax.model.term import term as term, whole as whole
-from dpdjax.model.units import water as water, water_units as water_units
+from dpdjax.model.units import Units as Units, water as water, water_units as water_units
 from dpdjax.pairs.box import Box as Box
 from dpdjax.prepare.marbles import marbles as marbles
 from dpdjax.prepare.molecules import molecules as molecules

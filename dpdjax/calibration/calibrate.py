@@ -48,7 +48,9 @@ class Calibration:
         history: the measured points; ``x`` is the logarithm of the parameter.
         curve: the fit through them.
         dt, rate: time step and shear rate of the fresh run.
-        particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
+        particle_steps: what it took.
+        seconds: wall time.
+        compile_seconds: what of it was making programs.
         temperature: mean kinetic temperature of the fresh run; NaN where the goal does not record
             it.
     """

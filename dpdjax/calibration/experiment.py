@@ -265,7 +265,9 @@ class Measurement:
         time: time of each frame since the start of the measurement.
         dt, rate: time step and shear rate.
         temperature: mean kinetic temperature, where the goal records it.
-        particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
+        particle_steps: what it took.
+        seconds: wall time.
+        compile_seconds: what of it was making programs.
         name: of the number.
     """
 

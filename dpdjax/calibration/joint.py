@@ -54,7 +54,9 @@ class JointCalibration:
         measured: goal name -> that number in a fresh run, with its error.
         fluid: the fluid with all of them set.
         history: the measured points.
-        particle_steps, seconds, compile_seconds: what it took, and what of it was making programs.
+        particle_steps: what it took.
+        seconds: wall time.
+        compile_seconds: what of it was making programs.
     """
 
     estimates: dict[str, Estimate]

@@ -15,7 +15,7 @@ def relative_viscosity(
     trajectory: Trajectory,
     *,
     solvent: Estimate | None = None,
-    key: jax.Array = None,
+    key: jax.Array | None = None,
     tolerance: float = 0.02,
     skip: float = 0.1,
     blocks: int = 20,

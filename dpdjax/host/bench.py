@@ -39,7 +39,7 @@ def bench(
     skin: float | None = None,
     steps: int | None = None,
     repeats: int = 5,
-    tangent: str | None = False,
+    tangent: str | bool | None = False,
     integrator: Integrator | None = None,
 ) -> dict:
     """Measure the speed of plain runs of a cubic box, or of a batch as ``dpd.run`` would run it.

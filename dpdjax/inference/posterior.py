@@ -69,8 +69,8 @@ class Fit:
 
     @functools.cached_property
     def undetermined(self) -> tuple[str, ...]:
-        """Combinations of parameters that the data say next to nothing about: the posterior is at
-        least half as wide as the prior."""
+        """Combinations of parameters that the data say next to nothing about, so that the posterior
+        is at least half as wide as the prior."""
         open_to = [k for k, p in enumerate(self.question.priors.values()) if p.is_even]
         names = [self.question.names[k] for k in open_to]
         priors = list(self.question.priors.values())

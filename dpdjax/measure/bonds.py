@@ -11,14 +11,15 @@ from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.molecules import by_molecule, labels_of, shared_rows, topology_of
 from dpdjax.measure.pools import groups_of, pooled, pooled_error
+from dpdjax.measure.results import Result
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.bonded import BEADS
 
 MOST_BINS = 100_000
 
 
-@dataclasses.dataclass(frozen=True)
-class BondedDistribution:
+@dataclasses.dataclass(frozen=True, repr=False)
+class BondedDistribution(Result):
     """How a bond length [length], or an angle or a dihedral [radian], is distributed.
 
     Attributes:

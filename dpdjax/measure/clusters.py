@@ -10,12 +10,13 @@ from dpdjax.drawing import curve, time_scale
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
+from dpdjax.measure.results import Result
 from dpdjax.measure.spheres import Spheres, by_frame, close_pairs, nearest
 from dpdjax.measure.statistics import Estimate
 
 
-@dataclasses.dataclass(frozen=True)
-class Clusters:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Clusters(Result):
     """Spheres joined by contacts, frame by frame; a sphere without contacts is a cluster of one.
 
     Attributes:

@@ -12,11 +12,12 @@ from dpdjax.measure.molecules import Molecules, by_molecule, chains, linear_chai
 from dpdjax.measure.pools import pooled
 from dpdjax.measure.relaxation import Relaxation, can_follow, relaxation, warn_if_short
 from dpdjax.measure.replicas import bead_masses
+from dpdjax.measure.results import Result
 from dpdjax.measure.statistics import Estimate
 
 
-@dataclasses.dataclass(frozen=True)
-class EndToEnd:
+@dataclasses.dataclass(frozen=True, repr=False)
+class EndToEnd(Result):
     """The vector ``R`` from one end of linear chains to the other.
 
     Attributes:
@@ -45,8 +46,8 @@ class EndToEnd:
         return self.correlation.plot(ax)
 
 
-@dataclasses.dataclass(frozen=True)
-class Gyration:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Gyration(Result):
     """How far the beads of molecules are from their centres of mass.
 
     Attributes:

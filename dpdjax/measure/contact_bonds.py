@@ -9,6 +9,7 @@ from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, pieces_of_member, standard_error
 from dpdjax.measure.contacts import spheres_and_gap
+from dpdjax.measure.results import Result
 from dpdjax.measure.spheres import Spheres, close_pairs, frames_of
 from dpdjax.measure.statistics import Estimate
 
@@ -17,14 +18,15 @@ SURVIVAL_PIECES = 4
 """
 
 
-@dataclasses.dataclass(frozen=True)
-class Bonds:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Bonds(Result):
     """Bonds that form closer than they break.
 
     Attributes:
         time: of each frame, (frames,) [time].
         number: bonds in each frame, (batch, frames).
-        formed, broken: since the frame before, 0 in the first, (batch, frames).
+        formed: since the frame before, 0 in the first, (batch, frames).
+        broken: as many as ended since then, (batch, frames).
         per_colloid: bonds that a sphere has, over spheres and frames; each bond counts for both of
             its ends.
         lag: times from 0, (lags,) [time].

@@ -8,13 +8,14 @@ from dpdjax.checks import positive
 from dpdjax.drawing import axes, curve, time_scale
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import average, error_of, standard_error
+from dpdjax.measure.results import Result
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, close_pairs
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.colloids import attraction_range
 
 
-@dataclasses.dataclass(frozen=True)
-class ContactNumber:
+@dataclasses.dataclass(frozen=True, repr=False)
+class ContactNumber(Result):
     """How many others each sphere is in contact with.
 
     Attributes:

@@ -10,6 +10,7 @@ from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.molecules import labels_of, shared_rows
 from dpdjax.measure.reading import chosen_beads
+from dpdjax.measure.results import Result
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, nearest, of_run
 from dpdjax.measure.structure import RadialDistribution, distance_edges, whole_bins
 
@@ -17,8 +18,8 @@ PAIRS_AT_ONCE = 2**14
 """Pairs looked at together: few enough for their separations to stay in the cache."""
 
 
-@dataclasses.dataclass(frozen=True)
-class PairDistribution:
+@dataclasses.dataclass(frozen=True, repr=False)
+class PairDistribution(Result):
     """The pair distribution by surface gap, in shells.
 
     Attributes:

@@ -12,6 +12,7 @@ from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
 from dpdjax.measure.replicas import bead_masses, refuse_scan, shared, species_of
+from dpdjax.measure.results import Result
 from dpdjax.measure.rotation import check_turned
 from dpdjax.measure.statistics import Estimate, block_average
 
@@ -19,8 +20,8 @@ SUSPECT = 0.5
 """Share of the least error that an error bar, itself uncertain, stays above."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Driven:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Driven(Result):
     """What spheres do under a force or a torque.
 
     Attributes:

@@ -7,6 +7,7 @@ would be that of the sphere: 0 without slip, infinite for full slip.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -28,7 +29,7 @@ def sphere_diffusion(
     radius: ArrayLike,
     box: ArrayLike = math.inf,
     slip_length: ArrayLike = 0.0,
-) -> ArrayLike:
+) -> Any:
     """Diffusion coefficient of a sphere in a periodic cube [length^2/time].
 
     ``kT/(6 pi viscosity) [(1 + 3 b/R)/((1 + 2 b/R) R) - 2.837297/L + 4 pi R^2/(3 L^3 (1 + 2
@@ -63,7 +64,7 @@ def sphere_rotational_diffusion(
     radius: ArrayLike,
     box: ArrayLike = math.inf,
     slip_length: ArrayLike = 0.0,
-) -> ArrayLike:
+) -> Any:
     """Rotational diffusion coefficient of a sphere in a periodic cube [1/time].
 
     ``kT (1 + 3 b/R)/(8 pi viscosity R^3) - kT/(6 viscosity L^3)``, the latter as Linke, Koefinger &
@@ -100,8 +101,8 @@ def velocity_tail(
     kT: ArrayLike,
     viscosity: ArrayLike,
     density: ArrayLike,
-    box: ArrayLike = None,
-) -> ArrayLike:
+    box: ArrayLike | None = None,
+) -> Any:
     """Velocity autocorrelation of any sphere that the fluid carries, at late times
     [length^2/time^2], (times,).
 
@@ -133,8 +134,8 @@ def angular_velocity_tail(
     kT: ArrayLike,
     viscosity: ArrayLike,
     density: ArrayLike,
-    box: ArrayLike = None,
-) -> ArrayLike:
+    box: ArrayLike | None = None,
+) -> Any:
     """Autocorrelation of the angular velocity of any sphere that turns with the fluid, at late
     times [1/time^2], (times,).
 

@@ -83,8 +83,8 @@ def warn_of_heat(trajectory, frames: dict):
         series = _temperature_of(trajectory, np.asarray(frames["velocity"]))
     else:
         return
-    kT = float(np.mean(np.asarray(trajectory.fluid.kT, float)))
-    measured = is_off(series, kT, doubt(trajectory, np.shape(series)[-1]))
+    kT, series = float(np.mean(np.asarray(trajectory.fluid.kT, float))), np.atleast_1d(series)
+    measured = is_off(series, kT, doubt(trajectory, series.shape[-1]))
     if measured is not None:
         warnings.warn(
             f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of "

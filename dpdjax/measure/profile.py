@@ -20,6 +20,7 @@ from dpdjax.measure.reading import (
     side_lengths,
 )
 from dpdjax.measure.replicas import bead_masses, shared
+from dpdjax.measure.results import Result
 from dpdjax.measure.structure import whole_bins
 
 RECORD = "dpd.observe.positions"
@@ -27,8 +28,8 @@ NUMBERS = {"temperature", "potential_energy", "wave_velocity"}
 """What tells that a run still drifts."""
 
 
-@dataclasses.dataclass(frozen=True)
-class VelocityProfile:
+@dataclasses.dataclass(frozen=True, repr=False)
+class VelocityProfile(Result):
     """Velocity and temperature of the beads at each height, in bins of equal width.
 
     Attributes:

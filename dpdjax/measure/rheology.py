@@ -7,11 +7,12 @@ import numpy as np
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
+from dpdjax.measure.results import Result
 from dpdjax.measure.statistics import Estimate, from_replicas
 
 
-@dataclasses.dataclass(frozen=True)
-class Moduli:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Moduli(Result):
     """The response to a strain ``amplitude sin(frequency t)``: stress over amplitude, by phase.
 
     Attributes:

@@ -18,6 +18,7 @@ from dpdjax.measure.blocks import standard_error
 from dpdjax.measure.forgetting import Memory
 from dpdjax.measure.reading import recorded
 from dpdjax.measure.replicas import shared
+from dpdjax.measure.results import Result
 from dpdjax.measure.statistics import Estimate
 from dpdjax.measure.transport import correlated, read_diffusion
 from dpdjax.model.beads import inertias
@@ -25,8 +26,8 @@ from dpdjax.model.beads import inertias
 RECORD = "dpd.observe.rotations"
 
 
-@dataclasses.dataclass(frozen=True)
-class RotationalCorrelation:
+@dataclasses.dataclass(frozen=True, repr=False)
+class RotationalCorrelation(Result):
     """How long rotation is remembered.
 
     Attributes:

@@ -11,10 +11,11 @@ from dpdjax.measure import needs
 from dpdjax.measure.molecules import Molecules, by_molecule, linear_chains
 from dpdjax.measure.pools import pooled
 from dpdjax.measure.relaxation import Relaxation, can_follow, relaxation, warn_if_short
+from dpdjax.measure.results import Result
 
 
-@dataclasses.dataclass(frozen=True)
-class RouseModes:
+@dataclasses.dataclass(frozen=True, repr=False)
+class RouseModes(Result):
     """Rouse modes 1 to N - 1 of chains of N beads.
 
     Attributes:

@@ -10,13 +10,14 @@ from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import chosen_beads
+from dpdjax.measure.results import Result
 from dpdjax.measure.spheres import Spheres, as_spheres, by_frame, of_run, shift_of, spheres
 from dpdjax.measure.structure import whole_bins
 from dpdjax.model.colloids import solvent_reach
 
 
-@dataclasses.dataclass(frozen=True)
-class StructureFactor:
+@dataclasses.dataclass(frozen=True, repr=False)
+class StructureFactor(Result):
     """The structure factor, by shells that hold a wave vector.
 
     Attributes:

@@ -7,7 +7,7 @@ own strain.
 
 import dataclasses
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,6 +17,7 @@ from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.reading import as_frames, chosen_beads, of_beads, recorded, strains
+from dpdjax.measure.results import Result
 from dpdjax.model.beads import radii
 from dpdjax.model.fluid import Fluid
 
@@ -24,8 +25,8 @@ IMAGES = np.array(list(itertools.product((0, 1, -1), repeat=3)))
 """The box and the 26 around it, in lattice vectors."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Spheres:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Spheres(Result):
     """Frames of a suspension, from a run by :func:`spheres` or from arrays that broadcast to these
     shapes.
 
@@ -46,11 +47,11 @@ class Spheres:
         [[2]]
     """
 
-    position: np.ndarray
-    radius: np.ndarray
-    lengths: np.ndarray
-    strain: np.ndarray = 0.0
-    time: np.ndarray | None = None
+    position: Any
+    radius: Any
+    lengths: Any
+    strain: Any = 0.0
+    time: Any = None
 
     def __post_init__(self):
         position = as_frames(self.position, "position")

@@ -15,6 +15,7 @@ from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import as_frames, frame_lengths, recorded, strains
+from dpdjax.measure.results import Result
 from dpdjax.pairs import box as boxes
 
 PAIRS_AT_ONCE = 2**20
@@ -23,8 +24,8 @@ EMPTY = 0.75
 """Share of a side below which what beads span of it is not all of it."""
 
 
-@dataclasses.dataclass(frozen=True)
-class RadialDistribution:
+@dataclasses.dataclass(frozen=True, repr=False)
+class RadialDistribution(Result):
     """The radial distribution function, by shells.
 
     Attributes:

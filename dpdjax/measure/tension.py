@@ -11,13 +11,14 @@ from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import average, error_of
 from dpdjax.measure.reading import check_recorded, frame_lengths
+from dpdjax.measure.results import Result
 from dpdjax.measure.statistics import Estimate, block_average
 
 PROFILE = "[dpd.mean(dpd.observe.pressure_in_slabs(50))]"
 
 
-@dataclasses.dataclass(frozen=True)
-class PressureProfile:
+@dataclasses.dataclass(frozen=True, repr=False)
+class PressureProfile(Result):
     """The pressure in slabs across an axis.
 
     Attributes:

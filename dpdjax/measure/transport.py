@@ -19,6 +19,7 @@ from dpdjax.measure.blocks import PIECES, pieces_of_member, standard_error
 from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
 from dpdjax.measure.replicas import bead_masses, shared, species_of
+from dpdjax.measure.results import Result
 from dpdjax.measure.statistics import Estimate, from_replicas
 
 BEADS_AT_ONCE = 256
@@ -27,8 +28,8 @@ LEAST_PIECES = 4
 """Independent pieces that tell an error."""
 
 
-@dataclasses.dataclass(frozen=True)
-class MeanSquaredDisplacement:
+@dataclasses.dataclass(frozen=True, repr=False)
+class MeanSquaredDisplacement(Result):
     """``<|r(t) - r(0)|^2>`` relative to the centre of mass.
 
     Attributes:
@@ -71,13 +72,13 @@ class MeanSquaredDisplacement:
         return ax
 
 
-@dataclasses.dataclass(frozen=True)
-class VelocityAutocorrelation:
-    """``<v(t) . v(0)>`` relative to the centre of mass; ``3 kT / m`` at t = 0.
+@dataclasses.dataclass(frozen=True, repr=False)
+class VelocityAutocorrelation(Result):
+    """How long velocities are remembered, relative to the centre of mass; ``3 kT / m`` at t = 0.
 
     Attributes:
         time: lags from 0, (lags,) [time].
-        value: (lags,) [length^2 / time^2].
+        value: ``<v(t) . v(0)>``, (lags,) [length^2 / time^2].
         error: its standard error, (lags,); NaN where there is a single piece.
     """
 

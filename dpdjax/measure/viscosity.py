@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from dpdjax.checks import not_negative, plain
+from dpdjax.checks import Numbers, not_negative, plain
 from dpdjax.engine.drivers import Wave
 from dpdjax.engine.observables import (
     SMOOTH,
@@ -355,7 +355,7 @@ def sinusoidal_viscosity(
     return Estimate(eta, abs(eta) * velocity.error / abs(velocity.value), velocity.blocks)
 
 
-def extrapolate(x: Sequence[float], estimates: Sequence[Estimate]) -> Estimate:
+def extrapolate(x: Numbers, estimates: Sequence[Estimate]) -> Estimate:
     """Intercept at ``x = 0`` of the straight line through estimates, weighted by their errors.
 
     For k^2 -> 0, dt -> 0 or rate^2 -> 0.

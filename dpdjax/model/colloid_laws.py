@@ -167,7 +167,7 @@ def morse(h: ArrayLike, *, D0: ArrayLike, kappa: ArrayLike, r0: ArrayLike) -> ja
         >>> at = dict(D0=1.2, kappa=30.0, r0=0.0)
         >>> [round(float(dpd.laws.morse(h, **at)), 2) for h in (0.0, 0.1, 0.2)]
         [-1.2, -0.12, -0.01]
-        >>> dpd.term(dpd.laws.morse, **at)
+        >>> dpd.term(dpd.laws.morse, D0=1.2, kappa=30.0, r0=0.0)
         morse(D0=1.2, kappa=30, r0=0)
     """
     e = jnp.exp(-kappa * (h - r0))

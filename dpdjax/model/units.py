@@ -65,6 +65,15 @@ class Units:
         mass: [kg].
         time: [s].
         note: what the units match and what they give up.
+
+    Raises ValueError for a unit that is not finite and above zero.
+
+    Example:
+        >>> units = dpd.Units(length=1e-9, mass=1e-22, time=1e-11)  # of any liquid
+        >>> round(units.to_si(0.85, "viscosity") * 1e3, 3)  # mPa s
+        8.5
+        >>> round(units.from_si(300 * 1.380649e-23, "energy"), 5)  # kT at 300 K
+        0.00414
     """
 
     length: float

@@ -191,7 +191,8 @@ def _warn_of_short_sides(made: Fluid, lengths):
     if min(lengths) < least:
         warnings.warn(
             f"bonds {longest:.2g} long on average reach half of a side of {min(lengths):.3g} now "
-            f"and then, and a run ends there: use sides of {_up(least):g} or more, or stiffer bonds",
+            f"and then, and a run ends there: use sides of {_up(least):g} or more, or stiffer "
+            "bonds",
             stacklevel=3,
         )
 

@@ -296,8 +296,8 @@ def merge_scans(paths: Sequence[str | os.PathLike], store: str | os.PathLike | N
         >>> def line(key, x):
         ...     return {"y": dpd.Estimate(2.0 * x, 0.1)}
         >>> for k in (1, 2):  # each a job of its own
-        ...     part = {"store": f"part-{k}.nc", "shard": (k, 2)}
-        ...     table = dpd.scan(line, {"x": [1.0, 2.0]}, key=key, **part, **quiet)
+        ...     grid, store = {"x": [1.0, 2.0]}, f"part-{k}.nc"
+        ...     table = dpd.scan(line, grid, key=key, store=store, shard=(k, 2), **quiet)
         >>> dpd.merge_scans(["part-1.nc", "part-2.nc"]).y.values.tolist()
         [2.0, 4.0]
     """
