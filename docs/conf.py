@@ -1,5 +1,5 @@
-"""The site: `sphinx-build -W -j auto docs build/docs` runs every cell of its pages and refuses a broken
-reference."""
+"""The site. ``sphinx-build -W -j auto docs build/docs`` runs every cell of its pages and refuses a
+broken reference."""
 
 import os
 import sys
@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
     "sphinx_design",
+    "sphinx-mathjax-offline",
 ]
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(numpy|collections|os|jax|matplotlib|xarray|pandas)\..*")]
@@ -67,4 +68,5 @@ copybutton_exclude = ".linenos, .gp, .go"
 html_theme = "furo"
 html_title = f"dpdjax {release}"
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_theme_options = {"navigation_with_keys": True}

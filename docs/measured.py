@@ -96,7 +96,7 @@ def _with_commands(text: str, path: str, scripts) -> str:
 
 def telling() -> str:
     """A table of them, in Markdown."""
-    head = "| quantity | state | here | reference | apart by | source | date | command |"
+    head = "| quantity and state | here | reference | source | apart by | measured by |"
     lines = [head, "|" + "---|" * head.count(" | ") + "---|"]
     for file, script, room, begins in TELLING:
         found = json.loads((ROOT / PHYSICS / f"{file}.json").read_text())[room]
@@ -109,8 +109,9 @@ def _line(row: dict, date: str, script: str) -> str:
     value, reference = _number(row["value"]), _number(row["reference"])
     error = (value[1] ** 2 + reference[1] ** 2) ** 0.5
     apart = f"{abs(value[0] - reference[0]) / error:.1f} errors"
-    cells = row["quantity"], row["state"], _said(*value), _said(*reference), apart, row["source"]
-    return "| " + " | ".join([*cells, date, f"`{PHYSICS}/{script}`"]) + " |"
+    what = f"**{row['quantity']}**, {row['state']}"
+    cells = what, _said(*value), _said(*reference), row["source"], apart, f"`{script}`, {date}"
+    return "| " + " | ".join(cells) + " |"
 
 
 def _number(value) -> tuple[float, float]:

@@ -122,7 +122,9 @@ def doubt(trajectory, frames: int) -> float:
     fluid = rates.extreme(trajectory.fluid)
     densities = np.bincount(of_bead, minlength=fluid.species) / volume
     span = frames * float(np.min(trajectory.interval))
-    return one / math.sqrt(max(rates.damping_rate(fluid, densities) * span, 1.0))
+    # Drag takes from the kinetic energy alone, which the potential one fills up again.
+    forgotten = 0.5 * rates.damping_rate(fluid, densities) * span
+    return one / math.sqrt(max(forgotten, 1.0))
 
 
 def _temperature_of(trajectory, velocity):
