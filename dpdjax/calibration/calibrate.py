@@ -166,7 +166,8 @@ def calibrate(
         integrator: how the boxes move on in time; by default velocity-Verlet, or where no dt is
             given ``dpd.integrators.ImplicitDrag`` if that covers more time at the same accuracy: at
             strong drag between beads that hardly repel each other.
-        rate: shear rate; by default ``suggest_rate``.
+        rate: shear rate; by default the largest that changes the viscosity by less than half the
+            tolerance, by heat and by structure.
         box: side of each box; by default 10 interaction ranges, and fewer, to 6, at tolerances
             above 0.05.
         boxes: boxes in the batch.

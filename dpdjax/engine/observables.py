@@ -162,6 +162,10 @@ def stresses(fluid: Fluid, state: State) -> dict:
     ``pressure_kinetic`` and so on: ``conservative``, ``drag``, ``random``, and what terms have
     names for.
 
+    ``pressure_conservative`` is that of pairs without a name of their own; bonds are in
+    ``pressure_bond``, contacts in ``pressure_contact``. In :func:`dpdjax.observe.pressure_tensor`
+    ``"conservative"`` is all potentials.
+
     Example:
         >>> sorted(dpd.observe.stresses(water, rest.final))
         ['pressure_conservative', 'pressure_drag', 'pressure_kinetic', 'pressure_random']
