@@ -233,7 +233,8 @@ def _merge(arguments):
     import dpdjax as dpd
 
     table = dpd.merge_scans(arguments.parts, arguments.out)
-    return {"done": int((table.status == 1).sum()), "file": arguments.out}, None
+    done, runs = int((table.status == 1).sum()), int(table.status.size)
+    return {"done": done, "runs": runs, "file": arguments.out}, None
 
 
 def _init(arguments):

@@ -138,7 +138,7 @@ def _scan(file: Section, text: str, path, out, workers, progress: bool, *, shard
     experiment = _experiment(section, file)
     store = Path(out or section.get("store", str) or f"{Path(path).stem}.nc")
     if shard is not None:
-        store = store.with_name(f"{store.stem}-{shard[0]}of{shard[1]}{store.suffix}")
+        store = _part_of(store, "-{}of{}".format(*shard))
     key = jax.random.key(file.get("seed", int, 0))
     grid = section.table("grid")
     twice = sorted(set(grid.values) & set(section.table("settings").values))
@@ -163,6 +163,11 @@ def _scan(file: Section, text: str, path, out, workers, progress: bool, *, shard
     done, failed = (int((table.status == k).sum()) for k in (1, 2))
     result = {"runs": mine, "done": done, "failed": failed, "store": str(store)}
     return result | {"table": table}, done + failed >= mine
+
+
+def _part_of(store: Path, part: str) -> Path:
+    """The store of a shard; the name of one that is there, copied from another machine, is kept."""
+    return store if store.stem.endswith(part) else store.with_name(store.stem + part + store.suffix)
 
 
 def _experiment(section: Section, file: Section):

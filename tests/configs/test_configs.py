@@ -115,6 +115,9 @@ def test_a_scan(write, water, tmp_path, capsys):
         assert main(["scan", path, "--shard", shard, "--json", "--no-cache"]) == 0
         parts.append(json.loads(capsys.readouterr().out)["store"])
     assert [part[-8:] for part in parts] == ["-1of2.nc", "-2of2.nc"]
+    again = ["scan", path, "--shard", "1/2", "--out", parts[0], "--json", "--no-cache"]
+    assert main(again) == 0, "the store of a part goes by its own name, too"
+    assert json.loads(capsys.readouterr().out)["store"] == parts[0]
     assert main(["merge", *parts, "--out", str(tmp_path / "all.nc")]) == 0
     merged = dpd.load_scan(tmp_path / "all.nc")
     assert np.array_equal(merged.viscosity_each, table.viscosity_each)

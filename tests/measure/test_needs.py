@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 import dpdjax as dpd
 from dpdjax.engine.system import System
+from dpdjax.measure import needs
 from dpdjax.measure.needs import warn_of_drift
 from dpdjax.pairs.box import wrap
 
@@ -149,6 +150,16 @@ def test_failed_and_hot_runs_are_told(water, fresh):
     stress["pressure_tensor"][70] = np.nan
     with pytest.raises(ValueError, match="'pressure_tensor' holds NaN .*survivors"):
         dpd.shear_viscosity(synthetic(water, fresh, dpd.shear(0.1), **stress))
+
+
+def test_few_beads_are_not_told_hot_by_chance(water, fresh):
+    """Frames close together are of one moment, however many; those of a long run are not."""
+    of = lambda frames: synthetic(water, fresh, dpd.shear(0.1), temperature=np.full(frames, 1.04))
+    wave = 1.04 + 0.01 * np.sin(np.arange(40))
+    assert needs.is_off(wave, 1.0)
+    assert needs.is_off(wave, 1.0, needs.doubt(of(40), 40)) is None
+    assert needs.doubt(of(40), 40) > 5 * needs.doubt(of(40), 40 * 10000)
+    assert needs.is_off(wave, 1.0, needs.doubt(of(40), 40 * 10000))
 
 
 def test_a_block_average_refuses_what_it_cannot_average():
