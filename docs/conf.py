@@ -41,6 +41,8 @@ nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_merge_streams = True
+# Said of each cell where none is run, `-D nb_execution_mode=off`.
+suppress_warnings = ["myst-nb.lexer", "docutils"]
 # A page is a process of its own, which mostly compiles: some programs are the same, all are short.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / "build" / "programs"))

@@ -67,7 +67,7 @@ class State:
         >>> state.restarted()
         State(192 beads, box 4 x 4 x 4, step 200, time 0)
         >>> melt.state.topology
-        Topology(824 bond)
+        Topology(1228 bond)
     """
 
     position: Any = _of_bead()

@@ -30,8 +30,9 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
     recorded = np.atleast_2d(np.asarray(trajectory.frames.get("temperature", np.nan), float))
     recorded = np.broadcast_to(recorded, (len(last), recorded.shape[1]))
     allowed = 1.0 + HOT + FLUCTUATIONS * np.sqrt(2.0 / (3 * state.n - 3))
-    chance = doubt(trajectory, recorded.shape[1] // 2)
-    told = [_told(*of, allowed, chance, trajectory.flow) for of in zip(last, kT, recorded)]
+    chance = np.broadcast_to(doubt(trajectory, recorded.shape[1] // 2), last.shape)
+    each = zip(last, kT, recorded, chance)
+    told = [_told(*of, allowed, trajectory.flow) for of in each]
     excess = [abs(found[0]) if found else 0.0 for found in told]
     if any(told):
         worst = int(np.argmax(excess))
@@ -39,7 +40,7 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
         warnings.warn(member + told[worst][1], stacklevel=stacklevel)
 
 
-def _told(last: float, kT: float, recorded, allowed: float, chance: float, flow):
+def _told(last: float, kT: float, recorded, chance: float, allowed: float, flow):
     """The excess over kT and what to say of it; None where there is none."""
     later = recorded[len(recorded) // 2 :]
     if np.isfinite(last) and kT > 0 and last > allowed * kT:

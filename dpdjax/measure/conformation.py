@@ -99,7 +99,7 @@ def end_to_end(
     Example:
         >>> found = dpd.measure.end_to_end(chains)
         >>> found.chains
-        Molecules(206 linear of length 5, species 0 x 5)
+        Molecules(307 linear of length 5, species 0 x 5)
         >>> found.mean_square.value > found.mean.value**2
         True
     """

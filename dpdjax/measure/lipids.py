@@ -86,8 +86,8 @@ def area_per_lipid(
     run, and a scan over numbers.
 
     Example:
-        >>> round(dpd.measure.area_per_lipid(chains).value, 4)  # 7 x 7 over half of 206
-        0.4757
+        >>> round(dpd.measure.area_per_lipid(chains).value, 4)  # 8 x 8 over half of 307
+        0.4169
     """
     needs.finished(trajectory)
     refuse_scan(trajectory)

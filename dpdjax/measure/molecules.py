@@ -35,7 +35,7 @@ class Molecules:
     Example:
         >>> found = dpd.measure.chains(chains)
         >>> found.count, found.length, found.is_linear
-        (206, 5, True)
+        (307, 5, True)
         >>> found.bonds
         ((0, 1), (1, 2), (2, 3), (3, 4))
     """
@@ -98,7 +98,7 @@ def molecules_of(what: State | Trajectory) -> tuple[Molecules, ...]:
 
     Example:
         >>> dpd.measure.molecules_of(melt.state)
-        (Molecules(206 linear of length 5, species 0 x 5),)
+        (Molecules(307 linear of length 5, species 0 x 5),)
     """
     state = _state_of(what)
     species, bonds = _by_id(state), _bonds_of(state)
@@ -136,7 +136,7 @@ def chains(
     Example:
         >>> ids = dpd.measure.chains(chains, length=5).ids
         >>> ids.shape
-        (206, 5)
+        (307, 5)
     """
     found = molecules_of(what)
     fitting = matching(found, length, species)

@@ -20,6 +20,8 @@ HOT, WARM, OFF = 0.25, 0.05, 0.02
 average beyond doubt."""
 SURELY, FEWEST = 4.0, 8
 """Standard errors, of so many blocks, by which a temperature is off beyond doubt."""
+LIKELY = 3.0
+"""Standard deviations by which a mean is off by chance at most."""
 
 
 def warn_of_ages(what, name: str, stacklevel: int = 3):
@@ -84,7 +86,8 @@ def warn_of_heat(trajectory, frames: dict):
     else:
         return
     kT, series = float(np.mean(np.asarray(trajectory.fluid.kT, float))), np.atleast_1d(series)
-    measured = is_off(series, kT, doubt(trajectory, series.shape[-1]))
+    chance = float(np.max(doubt(trajectory, series.shape[-1])))
+    measured = is_off(series, kT, chance)
     if measured is not None:
         warnings.warn(
             f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of "
@@ -102,29 +105,30 @@ def is_off(temperatures, kT: float, doubt: float = 0.0):
         return None
     found = block_average(series)
     share = abs(found.value / kT - 1.0)
-    if share < SURELY * doubt / math.sqrt(len(series)):
+    if share < LIKELY * doubt / math.sqrt(len(series)):
         return None
     surely = found.deviation(kT) > SURELY and found.blocks >= FEWEST
     return found.value if share > WARM or (share > OFF and surely) else None
 
 
-def doubt(trajectory, frames: int) -> float:
+def doubt(trajectory, frames: int):
     """Share of kT by which a mean of the kinetic temperature over so many frames is off by chance:
-    few beads have energies that vary, and remember theirs as long as drag does.
+    few beads have energies that vary, and remember theirs as long as drag does. Of each member
+    where their steps differ.
 
     A short run seems to be steadily hot else: all its frames are of one moment.
     """
     of_bead = species_of(trajectory)
     one = math.sqrt(2.0 / (3 * max(len(of_bead), 2) - 3))
-    if trajectory.every is None:
+    if getattr(trajectory, "every", None) is None:
         return one
     volume = float(np.prod(np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]))
     fluid = rates.extreme(trajectory.fluid)
     densities = np.bincount(of_bead, minlength=fluid.species) / volume
-    span = frames * float(np.min(trajectory.interval))
+    span = frames * np.asarray(trajectory.interval, float)
     # Drag takes from the kinetic energy alone, which the potential one fills up again.
     forgotten = 0.5 * rates.damping_rate(fluid, densities) * span
-    return one / math.sqrt(max(forgotten, 1.0))
+    return one / np.sqrt(np.maximum(forgotten, 1.0))
 
 
 def _temperature_of(trajectory, velocity):

@@ -407,7 +407,9 @@ def test_two_devices_change_nothing(table, tmp_path):
     """Forced ones of the host, in a process of its own."""
     script = tmp_path / "devices.py"
     script.write_text(textwrap.dedent(DEVICES).replace("{grid}", repr(GRID)))
-    flags = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    flags = os.environ | {
+        "XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
+    }
     command = [sys.executable, script, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=flags)
     assert done.returncode == 0 and done.stdout.strip() == "2", done.stderr[-2000:]
