@@ -1,6 +1,7 @@
 """The site. ``sphinx-build -W -j auto docs build/docs`` runs every cell of its pages and refuses a
 broken reference."""
 
+import importlib
 import os
 import sys
 from pathlib import Path
@@ -27,7 +28,6 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
     "sphinx_design",
-    "sphinx-mathjax-offline",
 ]
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(numpy|collections|os|jax|matplotlib|xarray|pandas)\..*")]
@@ -42,7 +42,7 @@ nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_merge_streams = True
 # Said of each cell where none is run, `-D nb_execution_mode=off`.
-suppress_warnings = ["myst-nb.lexer", "docutils"]
+suppress_warnings = ["myst-nb.lexer"]
 # A page is a process of its own, which mostly compiles: some programs are the same, all are short.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / "build" / "programs"))
@@ -69,6 +69,9 @@ copybutton_exclude = ".linenos, .gp, .go"
 
 html_theme = "furo"
 html_title = f"dpdjax {release}"
-html_static_path = ["_static"]
+# Formulas without a network: this package holds MathJax.
+_mathjax = Path(importlib.import_module("sphinx-mathjax-offline").__file__).parent / "static"
+html_static_path = ["_static", str(_mathjax)]
+mathjax_path = "mathjax/tex-chtml.js"
 html_css_files = ["site.css"]
 html_theme_options = {"navigation_with_keys": True}
