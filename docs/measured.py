@@ -5,10 +5,15 @@ telling figures out of their results."""
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PHYSICS, BENCHMARKS = "tests/physics", "tests/benchmarks"
+sys.path.insert(0, str(ROOT / PHYSICS))
+
+from rooms import shown
+
 PAGES = {
     f"{PHYSICS}/RESULTS.md": ("measure.py",),
     f"{PHYSICS}/INTEGRATORS.md": ("integrators.py",),
@@ -48,10 +53,7 @@ def copy_notebooks(folder: Path):
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(ROOT / "notebooks", folder)
     for notebook in folder.glob("*.ipynb"):
-        text = notebook.read_text()
-        for path in PAGES:
-            text = text.replace(f"](../{path})", f"](../measured/{page_name(path)})")
-        notebook.write_text(text)
+        notebook.write_text(_linked(notebook.read_text(), ROOT / "notebooks", "../measured/"))
 
 
 def page_name(path: str) -> str:
@@ -65,20 +67,19 @@ def write(folder: Path):
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for path, scripts in PAGES.items():
-        text = _linked((ROOT / path).read_text(), path)
+        text = _linked((ROOT / path).read_text(), (ROOT / path).parent)
         (folder / page_name(path)).write_text(_with_commands(text, path, scripts))
     for picture in (ROOT / PHYSICS).glob("*.png"):
         shutil.copy(picture, folder)
     (folder / "telling.txt").write_text(telling())
 
 
-def _linked(text: str, path: str) -> str:
-    """Links between the pages, where they now are."""
+def _linked(text: str, folder: Path, to: str = "") -> str:
+    """Links to the pages out of a file of a folder, where they now are."""
 
     def moved(match):
-        target = (ROOT / path).parent / match[1]
-        known = str(target.resolve().relative_to(ROOT))
-        return f"]({page_name(known)})" if known in PAGES else match[0]
+        known = str((folder / match[1]).resolve().relative_to(ROOT))
+        return f"]({to}{page_name(known)})" if known in PAGES else match[0]
 
     return re.sub(r"\]\(([^)#:]+\.md)\)", moved, text)
 
@@ -110,15 +111,10 @@ def _line(row: dict, date: str, script: str) -> str:
     error = (value[1] ** 2 + reference[1] ** 2) ** 0.5
     apart = f"{abs(value[0] - reference[0]) / error:.1f} errors"
     what = f"**{row['quantity']}**, {row['state']}"
-    cells = what, _said(*value), _said(*reference), row["source"], apart, f"`{script}`, {date}"
+    told = shown(row["value"]), shown(row["reference"])
+    cells = what, *told, row["source"], apart, f"`{script}`, {date}"
     return "| " + " | ".join(cells) + " |"
 
 
 def _number(value) -> tuple[float, float]:
     return tuple(value) if isinstance(value, list) else (float(value), 0.0)
-
-
-def _said(value: float, error: float) -> str:
-    import dpdjax as dpd
-
-    return str(dpd.Estimate(value, error)) if error else f"{value:.5g}"

@@ -9,16 +9,16 @@ import importlib
 import importlib.util
 from pathlib import Path
 
-_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
-_HOME_OF = {
-    name.asname: node.module
-    for node in _STUB.body
-    if isinstance(node, ast.ImportFrom) and node.module != __name__
+_NAMED = [
+    (name.asname, node.module)
+    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text()).body
+    if isinstance(node, ast.ImportFrom)
     for name in node.names
-}
-"""Where each public name is, as the stub beside this file tells type checkers."""
+]
+"""Each public name and the module it is in, as the stub beside this file tells type checkers."""
+_HOME_OF = {name: home for name, home in _NAMED if home != __name__}
 __all__ = sorted(_HOME_OF)
-NAMESPACES = ("laws", "flows", "integrators", "observe", "measure", "theory", "experiments")
+NAMESPACES = tuple(name for name, home in _NAMED if home == __name__)
 """Modules of the package with what else there is."""
 _ELSEWHERE = {
     "rdf": "measure.radial_distribution",

@@ -1,13 +1,13 @@
 """The public names of dpdjax and where they are, for type checkers and for ``__getattr__``."""
 
 from dpdjax import (
-    experiments as experiments,
+    laws as laws,
     flows as flows,
     integrators as integrators,
-    laws as laws,
-    measure as measure,
     observe as observe,
+    measure as measure,
     theory as theory,
+    experiments as experiments,
 )
 from dpdjax.calibration.calibrate import (
     calibrate as calibrate,

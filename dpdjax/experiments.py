@@ -201,18 +201,8 @@ class Diffusion(_OfFluid):
     Attributes:
         fit: lags of the mean squared displacement that are fitted [time]; by default the
             eighth of ``time`` that is last of those that tell, as :func:`dpdjax.diffusion` has it.
-        fluid: what runs; a point may give any of its numbers.
-        density: beads per volume [1/length^3].
-        box: side [length].
-        time: what is measured over [time].
-        settle: time before [time].
-        dt: time step [time]; by default the one suggested.
-        integrator: by default the one that covers most time for its cost.
-        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
 
-    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
-    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
-    kT.
+    Attributes from ``fluid`` on and the errors are those of :class:`dpdjax.experiments.Viscosity`.
 
     Example:
         >>> experiment = dpd.experiments.Diffusion(fluid=water, box=4.0, time=50.0, fit=(2.0, 4.0))
@@ -239,19 +229,7 @@ class Diffusion(_OfFluid):
 class Pressure(_OfFluid):
     """The equation of state: ``pressure`` [energy/length^3], ``temperature`` [energy] at rest.
 
-    Attributes:
-        fluid: what runs; a point may give any of its numbers.
-        density: beads per volume [1/length^3].
-        box: side [length].
-        time: what is measured over [time].
-        settle: time before [time].
-        dt: time step [time]; by default the one suggested.
-        integrator: by default the one that covers most time for its cost.
-        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
-
-    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
-    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
-    kT.
+    Attributes from ``fluid`` on and the errors are those of :class:`dpdjax.experiments.Viscosity`.
 
     Example:
         >>> state_of = dpd.experiments.Pressure(fluid=water, box=4.0, time=2.0, settle=1.0)
@@ -281,20 +259,10 @@ class Solvent(_OfFluid):
     Attributes:
         rate: shear rate [1/time]; by default the largest whose bias stays below one per cent.
         sheared: time under shear [time]; by default as long as at rest.
-        fluid: what runs; a point may give any of its numbers.
-        density: beads per volume [1/length^3].
-        box: side [length].
-        time: what is measured over [time].
-        settle: time before [time].
-        dt: time step [time]; by default the one suggested.
-        integrator: by default the one that covers most time for its cost.
-        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
 
     Diffusion is that of a large system, :func:`dpdjax.measure.large_system_diffusion`.
 
-    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
-    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
-    kT.
+    Attributes from ``fluid`` on and the errors are those of :class:`dpdjax.experiments.Viscosity`.
 
     Example:
         >>> experiment = dpd.experiments.Solvent(fluid=water, time=500.0)
@@ -360,17 +328,8 @@ class OscillatoryShear(_OfFluid):
         frequency: angular [1/time].
         amplitude: of the strain.
         cycles: that are measured over, after one that is left out, in place of ``time``.
-        fluid: what runs; a point may give any of its numbers.
-        density: beads per volume [1/length^3].
-        box: side [length].
-        settle: time before [time].
-        dt: time step [time]; by default the one suggested.
-        integrator: by default the one that covers most time for its cost.
-        energies: what another ``kT`` does to potentials, as for :meth:`dpdjax.Fluid.set`.
 
-    At a point it raises ValueError for numbers that cannot be, TypeError for a name that is neither
-    its own nor of the fluid, RunError for a fluid that the flow or too long a step keeps far from
-    kT.
+    Attributes from ``fluid`` on and the errors are those of :class:`dpdjax.experiments.Viscosity`.
 
     Example:
         >>> experiment = dpd.experiments.OscillatoryShear(fluid=water, box=4.0, cycles=4)

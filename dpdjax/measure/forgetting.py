@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dpdjax.measure.hydrodynamics import velocity_tail
-from dpdjax.measure.replicas import shared
+from dpdjax.measure.replicas import shared, volume_of
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model import rates
 
@@ -50,7 +50,7 @@ def memory_of_beads(trajectory, beads, masses, of_bead) -> Memory:
     """That of ``beads`` by their numbers; ``masses`` (n,) and species ``of_bead`` (n,) are of
     all."""
     kT, inertia = shared(trajectory.fluid.kT), float(np.mean(masses[beads]))
-    volume = float(np.prod(np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]))
+    volume = volume_of(trajectory)
     viscosity = _solvent_viscosity(
         trajectory.fluid, np.bincount(of_bead, minlength=trajectory.fluid.species) / volume
     )

@@ -7,7 +7,7 @@ import numpy as np
 
 from dpdjax import drawing
 from dpdjax.checks import is_concrete
-from dpdjax.measure.replicas import bead_masses, species_of
+from dpdjax.measure.replicas import bead_masses, species_of, volume_of
 from dpdjax.measure.statistics import block_average
 from dpdjax.model import rates
 
@@ -97,15 +97,15 @@ def warn_of_heat(trajectory, frames: dict):
         )
 
 
-def is_off(temperatures, kT: float, doubt: float = 0.0):
+def is_off(temperatures, kT: float, chance: float = 0.0):
     """The mean of temperatures (frames,) or (replicas, frames) where it is far from kT, or not kT
-    beyond doubt; else None. By ``doubt``, a share, the mean of each may be off by chance."""
+    beyond doubt; else None. By ``chance``, a share, the mean of each may be off."""
     series = np.atleast_2d(np.asarray(temperatures, float))
     if kT <= 0 or series.size < 4 or not np.all(np.isfinite(series)):
         return None
     found = block_average(series)
     share = abs(found.value / kT - 1.0)
-    if share < LIKELY * doubt / math.sqrt(len(series)):
+    if share < LIKELY * chance / math.sqrt(len(series)):
         return None
     surely = found.deviation(kT) > SURELY and found.blocks >= FEWEST
     return found.value if share > WARM or (share > OFF and surely) else None
@@ -122,9 +122,8 @@ def doubt(trajectory, frames: int):
     one = math.sqrt(2.0 / (3 * max(len(of_bead), 2) - 3))
     if getattr(trajectory, "every", None) is None:
         return one
-    volume = float(np.prod(np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]))
     fluid = rates.extreme(trajectory.fluid)
-    densities = np.bincount(of_bead, minlength=fluid.species) / volume
+    densities = np.bincount(of_bead, minlength=fluid.species) / volume_of(trajectory)
     span = frames * np.asarray(trajectory.interval, float)
     # Drag takes from the kinetic energy alone, which the potential one fills up again.
     forgotten = 0.5 * rates.damping_rate(fluid, densities) * span

@@ -32,6 +32,11 @@ def species_of(trajectory) -> np.ndarray:
     return species.reshape(-1, species.shape[-1])[0]
 
 
+def volume_of(trajectory) -> float:
+    """Volume of the box at the end, the same in every member of a batch [length^3]."""
+    return float(np.prod(np.asarray(trajectory.final.box.lengths, float).reshape(-1, 3)[0]))
+
+
 def bead_masses(trajectory):
     """Mass of each bead in each member, (batch, n), or of all, (1, n)."""
     mass = np.asarray(trajectory.fluid.mass, float)
