@@ -1,7 +1,7 @@
 """Viscosity, diffusion and pressure of one-species fluids all over the atlas.
 
     python tests/atlas/survey.py quadratic        # the full grid at exponent 2
-    python tests/atlas/survey.py exponents        # a coarser one at others
+    python tests/atlas/survey.py exponents        # states spread evenly over other exponents
     python tests/atlas/survey.py fresh            # states at random, which no fit sees
 
 Each is a scan with a store of its own, ``tests/atlas/*.nc``, which holds the table at every moment:
@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import beta
+from scipy.stats import qmc
 
 import dpdjax as dpd
 from dpdjax.calibration import experiment
@@ -39,16 +40,9 @@ GRIDS = {
         "gamma": tuple(round(g, 4) for g in (*E[:-1], 400.0)),
         "s": (2.0,),
     },
-    "exponents": {
-        "density": (2.5, 4.5, 8.0),
-        "a": (0.0, 10.0, 35.0, 100.0),
-        "strength": (1.0, 7.4, 54.0, 400.0),
-        "s": (0.25, 0.5, 1.0),
-    },
+    "exponents": {"state": tuple(range(96))},
+    "fresh": {"state": tuple(range(40))},
 }
-"""``strength`` is the friction that would damp as much at exponent 2."""
-DRAWN = 40
-"""Fresh states."""
 BEADS = 1500
 """In a box."""
 HEAT, FASTER = 0.04, 2.0
@@ -58,7 +52,7 @@ FASTEST = 0.8
 """Shear rate of the second at most."""
 ERRORS = 0.01, 0.02, 0.009
 """Relative errors of the viscosities at both rates, and of the diffusion."""
-FINER = 0.6
+FINER = 0.8
 """Of the errors of fresh states."""
 PATIENCE = 1.2e9
 """Particle-steps of a measurement at most."""
@@ -81,10 +75,10 @@ def gamma_of(strength: float, s: float) -> float:
     return strength / (30.0 * float(beta(3.0, s + 1.0)))
 
 
-def measured_as_strong(key, density: float, a: float, strength: float, s: float) -> dict:
-    """All numbers of one state, and its friction."""
-    gamma = gamma_of(strength, s)
-    return {"gamma": gamma} | measured(key, density, a, gamma, s)
+def measured_at(key, state: int) -> dict:
+    """All numbers of a state of another exponent, and what it is."""
+    point = spread(state)
+    return point | measured(key, **point)
 
 
 def measured(key, density: float, a: float, gamma: float, s: float, finer: float = 1.0) -> dict:
@@ -104,15 +98,24 @@ def measured_finely(key, state: int) -> dict:
 
 
 def drawn(state: int) -> dict:
-    """A fresh state: even in the logarithms of density, strength and exponent, and in the root of
-    the repulsion; half of them at exponent 2."""
-    random = np.random.default_rng(2020 + state)
-    even = lambda low, high: round(
-        float(math.exp(random.uniform(math.log(low), math.log(high)))), 4
-    )
-    density, strength, s = even(2.5, 8.0), even(1.0, 400.0), even(0.25, 2.0)
-    a, s = round(float(10 * random.uniform()) ** 2, 3), 2.0 if state % 2 else s
-    return {"density": density, "a": a, "gamma": round(gamma_of(strength, s), 4), "s": s}
+    """A fresh state; half of them at exponent 2."""
+    u = np.random.default_rng(2020 + state).uniform(size=4)
+    return placed(u if state % 2 else (*u[:3], 1.0))
+
+
+def spread(state: int) -> dict:
+    """A state of the sequence of Sobol: so many of them as there are fill the atlas evenly."""
+    return placed(qmc.Sobol(4, seed=20).random(128)[state])
+
+
+def placed(u) -> dict:
+    """The state at four numbers from 0 to 1: even in the logarithms of density, strength and
+    exponent, and in the root of the repulsion. Strength is the friction that would damp as much
+    at exponent 2."""
+    between = lambda x, low, high: round(low * (high / low) ** float(x), 4)
+    s, strength = between(u[3], 0.25, 2.0), between(u[2], 1.0, 400.0)
+    gamma, a = round(gamma_of(strength, s), 4), round(100.0 * float(u[1]) ** 2, 3)
+    return {"density": between(u[0], 2.5, 8.0), "a": a, "gamma": gamma, "s": s}
 
 
 # ------------------------------------------------------------ under shear
@@ -240,11 +243,9 @@ def scanned(name: str, shard: str | None = None):
     """The scan of that name, or a part ``i/n`` of it."""
     part = None if shard is None else tuple(int(x) for x in shard.split("/"))
     store = HERE / (f"{name}.nc" if part is None else f"{name}-{part[0]}.nc")
-    fresh = name == "fresh"
-    grid = {"state": tuple(range(DRAWN))} if fresh else GRIDS[name]
-    key = jax.random.fold_in(KEY, 1 + fresh)
-    how = {"fresh": measured_finely, "quadratic": measured, "exponents": measured_as_strong}[name]
-    return dpd.scan(how, grid, key=key, store=store, shard=part, retry=False)
+    key = jax.random.fold_in(KEY, 1 + list(GRIDS).index(name))
+    how = {"quadratic": measured, "exponents": measured_at, "fresh": measured_finely}[name]
+    return dpd.scan(how, GRIDS[name], key=key, store=store, shard=part, retry=False)
 
 
 def join(name: str):
