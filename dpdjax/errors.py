@@ -1,5 +1,8 @@
 """What this package raises where an argument is not to blame; for arguments ValueError and
-TypeError name the one."""
+TypeError name the one. And how it warns."""
+
+import sys
+import warnings
 
 
 class DPDError(Exception):
@@ -84,3 +87,16 @@ class Stopped(SystemExit):
 
     def __init__(self):
         super().__init__(self.STATUS)
+
+
+def warn(text: str) -> None:
+    """Warn, at the line outside of this package that led here."""
+    frame, level = sys._getframe(1), 2
+    while frame is not None and _is_ours(frame.f_globals.get("__name__", "")):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, stacklevel=level)
+
+
+def _is_ours(module: str) -> bool:
+    # Of a context manager of this package one frame is that of contextlib.
+    return module.partition(".")[0] in ("dpdjax", "contextlib")

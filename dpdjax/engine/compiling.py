@@ -3,11 +3,12 @@
 import functools
 import threading
 import time
-import warnings
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+
+from dpdjax.errors import warn
 
 MAKING = "/jax/core/compile/"
 """Events of JAX: tracing, lowering and compiling, a program inside another included in both."""
@@ -102,11 +103,10 @@ def _kind(leaf):
 def _warn_of_twins(functions: tuple, others):
     codes = _codes(functions)
     if codes is not None and sum(codes == _codes(other) for other in others) == ANEW - 1:
-        warnings.warn(
+        warn(
             f"{_names(functions)} is made anew each time, and a program is compiled for it each "
             "time: define it once, outside the loop, and give its numbers by the fluid, the flow "
             "or the state",
-            stacklevel=7,
         )
 
 

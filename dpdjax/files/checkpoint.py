@@ -83,7 +83,7 @@ class Checkpoint:
             return Saved(state, **more)
         except FileNotFoundError:
             return None
-        except (ValueError, TypeError) as error:
+        except (FileError, TypeError) as error:
             raise FileError(f"{error}. To begin anew give another folder as checkpoint") from error
 
     def save(self, saved: "Saved", frames: list[dict], axis: int) -> None:

@@ -14,6 +14,7 @@ from dpdjax.bonded.topology import Topology
 from dpdjax.checks import file_name
 from dpdjax.engine.rotation import Rotation
 from dpdjax.engine.state import State, assemble
+from dpdjax.errors import FileError
 from dpdjax.pairs import neighbours as lists
 from dpdjax.pairs.box import box
 
@@ -70,7 +71,8 @@ def save_state(path: str | os.PathLike, state: State) -> None:
 def load_state(path: str | os.PathLike) -> State:
     """Read what ``save_state`` wrote.
 
-    Raises ValueError where the file is no such state, or needs float64 that is off.
+    Raises FileError where the file is no such state, of another format, or needs float64 that is
+    off; ValueError for a name that is none.
 
     Example:
         >>> dpd.save_state("state.npz", state)
@@ -108,17 +110,17 @@ def load(path) -> tuple[State, dict]:
     except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
         if isinstance(error, FileNotFoundError):
             raise
-        raise ValueError(
+        raise FileError(
             f"{path} is not a dpdjax state, or a damaged one; write one with dpd.save_state"
         ) from error
     if meta["format"] != FORMAT:
-        raise ValueError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
+        raise FileError(f"{path} has format {meta['format']}, this version reads {FORMAT}")
     if saved["position"].dtype == np.float64 and not jax.config.jax_enable_x64:
-        raise ValueError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
+        raise FileError(f"{path} holds float64; start with JAX_ENABLE_X64=1")
     try:
         state = _assembled({name: jnp.asarray(array) for name, array in saved.items()}, meta)
     except KeyError as error:
-        raise ValueError(
+        raise FileError(
             f"{path} lacks the array {error}; save the state again with dpd.save_state"
         ) from error
     return state, meta["more"]

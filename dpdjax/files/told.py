@@ -4,11 +4,13 @@ import dataclasses
 import functools
 import hashlib
 import inspect
+import io
 import json
 import math
 import re
 import sysconfig
 import textwrap
+import tokenize
 import types
 
 import jax
@@ -109,16 +111,30 @@ def _is_installed(value) -> bool:
 
 
 def _source(value) -> str:
-    """A hash of a source; of the code where there is none, and of lambdas, of which a line may hold
-    several."""
+    """A hash of a source without its comments; of the code where there is none, and of lambdas, of
+    which a line may hold several."""
     code = getattr(value, "__code__", None)
     try:
-        text = textwrap.dedent(inspect.getsource(value))
+        text = _without_comments(textwrap.dedent(inspect.getsource(value)))
     except (OSError, TypeError):
         text = ""
     if code is not None and (not text or code.co_name == "<lambda>"):
         text += _in_words(code)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _without_comments(source: str) -> str:
+    """Lines of a source that say something, without what stands behind a hash."""
+    lines = source.splitlines()
+    try:
+        tokens = list(tokenize.generate_tokens(io.StringIO(source).readline))
+    except (tokenize.TokenError, IndentationError):
+        return source
+    for token in tokens:
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][:column]
+    return "\n".join(line.rstrip() for line in lines if line.strip())
 
 
 def _in_words(code: types.CodeType) -> str:
@@ -139,8 +155,12 @@ def differences(before, now, name: str = "") -> list[str]:
     if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         pairs = enumerate(zip(before, now))
         return [line for k, (a, b) in pairs for line in differences(a, b, f"{name}[{k}]")]
-    return [] if before == now else [f"{name}: {_short(before)} then, {_short(now)} now"]
+    return [] if before == now else [f"{name}: {' then, '.join(_short(before, now))} now"]
 
 
-def _short(value) -> str:
-    return textwrap.shorten(str(value), 60)
+def _short(*values) -> list[str]:
+    """Values in a few letters each; numbers of single precision as they were written."""
+    if all(isinstance(x, float) for x in values):
+        brief = [repr(float(f"{x:.7g}")) for x in values]
+        return brief if len(set(brief)) == len(values) else [repr(x) for x in values]
+    return [textwrap.shorten(str(x), 60) for x in values]

@@ -1,11 +1,10 @@
 """Telling a run whose beads are not at the temperature they were given."""
 
-import warnings
-
 import numpy as np
 
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.observables import temperature
+from dpdjax.errors import warn
 from dpdjax.measure.needs import HOT, doubt, is_off, trend
 
 FLUCTUATIONS = 5.0
@@ -14,7 +13,7 @@ FEW = 20
 """Frames from which on a mean temperature is looked at."""
 
 
-def warn_if_hot(trajectory, stacklevel: int = 3):
+def warn_if_hot(trajectory):
     """Warns, with the likely cause, where beads end well above kT, or are steadily off it in the
     later half of the run.
 
@@ -37,7 +36,7 @@ def warn_if_hot(trajectory, stacklevel: int = 3):
     if any(told):
         worst = int(np.argmax(excess))
         member = f"member {worst}: " if many else ""
-        warnings.warn(member + told[worst][1], stacklevel=stacklevel)
+        warn(member + told[worst][1])
 
 
 def _told(last: float, kT: float, recorded, chance: float, allowed: float, flow):
@@ -69,4 +68,6 @@ def _cause(flow, drifts: int) -> str:
         )
     if drifts > 0:
         return "it heats up; use a smaller dt or, where a force drives it, a smaller one"
+    if flow.drivers:
+        return "the flow that a force drives counts in it, or dt is too large; use a smaller force"
     return "dt is too large, dpd.suggest_dt gives one that is not, or it still cools from its start"

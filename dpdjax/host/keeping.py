@@ -83,7 +83,7 @@ def kept(job: Job, out: GSD | None, checkpoint: points.Checkpoint | None, say: C
         saving = None
         if checkpoint is not None:
             checkpoint.make()
-            stack.enter_context(held(checkpoint.lock))
+            stack.enter_context(held(checkpoint.lock, checkpoint.folder))
             saving = _Saving(checkpoint, job, out)
             job = saving.job
             if job.done:

@@ -1,7 +1,6 @@
 """The host door: a stream of pieces collected, reported, saved and interruptible."""
 
 import os
-import warnings
 from collections.abc import Callable
 
 import jax
@@ -13,7 +12,7 @@ from dpdjax.engine.record import Observing, recorders
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
-from dpdjax.errors import RunError, Stopped
+from dpdjax.errors import RunError, Stopped, warn
 from dpdjax.files.checkpoint import Checkpoint
 from dpdjax.files.gsd import GSD, beads_record
 from dpdjax.host.heat import warn_if_hot
@@ -88,7 +87,7 @@ def run(
     with Progress(plan, progress) as line, stopping(hours, on_disk) as stop:
         how = recorders(observe)
         how += recorders(beads_record) if out is not None else []
-        job = Job.of(system, state, key, plan, how, stacklevel=2)
+        job = Job.of(system, state, key, plan, how)
         if not on_disk:
             return collected(job, line, stop, InMemory(1 if job.key.ndim else 0), callback)
         with kept(job, out, checkpoint, line.say) as (job, record):
@@ -121,7 +120,7 @@ def collected(
     trajectory = job.trajectory(state, record.frames(), failed)
     if is_over and not trajectory.complete:
         line.interrupted(stop.why)
-    warn_if_hot(trajectory, stacklevel=4)
+    warn_if_hot(trajectory)
     for member in failed.values():
-        warnings.warn(f"{member}; the others went on: trajectory.survivors", stacklevel=3)
+        warn(f"{member}; the others went on: trajectory.survivors")
     return trajectory

@@ -1,7 +1,6 @@
 """A run as a stream of pieces: each a compiled program's worth of frames, checked and repaired."""
 
 import dataclasses
-import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -35,7 +34,7 @@ from dpdjax.engine.refusals import (
 from dpdjax.engine.state import State
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan, Trajectory
-from dpdjax.errors import RunError
+from dpdjax.errors import RunError, warn
 from dpdjax.host.cautions import cautions
 from dpdjax.model.fluid import Fluid
 
@@ -90,7 +89,7 @@ def stream(
         40 State(192 beads, box 4 x 4 x 4, step 400, time 4)
         40 State(192 beads, box 4 x 4 x 4, step 600, time 6)
     """
-    job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe, stacklevel=2)
+    job = Job.of(System.of(fluid, dt, flow, integrator), state, key, plan, observe)
     return job.pieces(size=piece)
 
 
@@ -114,7 +113,7 @@ class Job:
     failed: dict[int, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, system: System, state, key, plan: Plan, observe, stacklevel: int) -> "Job":
+    def of(cls, system: System, state, key, plan: Plan, observe) -> "Job":
         """Raise for what cannot work, warn of what is seldom meant."""
         key = prng_key(key)
         if key.ndim > 1:
@@ -130,7 +129,7 @@ class Job:
         if key.ndim:
             check_finite(state)
         for caution in cautions(system.fluid, state, system.dt, plan):
-            warnings.warn(caution, stacklevel=stacklevel + 1)
+            warn(caution)
         _check_members(system, key)
         state = complete_lists(state)
         _refuse(system.fluid, state, key)

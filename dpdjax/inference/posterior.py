@@ -10,6 +10,7 @@ import numpy as np
 
 from dpdjax import drawing
 from dpdjax.checks import plain, positive
+from dpdjax.errors import warn
 from dpdjax.inference.data import OF_MODELS
 from dpdjax.inference.priors import UNITS
 from dpdjax.inference.sampling import NEEDS, Question
@@ -97,16 +98,14 @@ class Fit:
     def tell(self):
         """Warn of what the data leave open, and of fresh runs that contradict."""
         if self.undetermined:
-            warnings.warn(
+            warn(
                 f"the data leave open {' and '.join(self.undetermined)}: what is told of it is the "
                 "prior; give other data, or what is known of it as a prior",
-                stacklevel=3,
             )
         if self.contradiction > CONTRADICTS:
-            warnings.warn(
+            warn(
                 f"fresh runs differ from what was expected of them by {self.contradiction:.1f} "
                 "standard errors: give more batches, or narrower priors",
-                stacklevel=3,
             )
 
     def foretold(self) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Draws from the posterior of parameters, by NUTS on the surrogate."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 
 import jax
@@ -104,9 +105,12 @@ def likelihood(question: Question, surrogate: Surrogate) -> Callable:
 def drawn(question: Question, surrogate: Surrogate, key, draws: int) -> dict[str, np.ndarray]:
     """Draws of the logarithms of the parameters by name (chains, draws), in double precision."""
     try:
-        import numpyro
-        import numpyro.distributions as of
-        from numpyro.infer import MCMC, NUTS
+        with warnings.catch_warnings():
+            # Of bars in notebooks, which are not shown here.
+            warnings.filterwarnings("ignore", message="IProgress not found")
+            import numpyro
+            import numpyro.distributions as of
+            from numpyro.infer import MCMC, NUTS
     except ImportError as error:
         raise ImportError(NEEDS) from error
     log_likelihood = likelihood(question, surrogate)

@@ -114,7 +114,7 @@ def dihedrals(
 
 def _distribution(trajectory, kind: str, name, bins) -> BondedDistribution:
     needs.finished(trajectory)
-    needs.warn_of_ages(trajectory, f"the distribution of {kind}s", stacklevel=4)
+    needs.warn_of_ages(trajectory, f"the distribution of {kind}s")
     bins = whole(bins, "bins", most=MOST_BINS)
     ids = rows_named(trajectory.final, kind, name)
     q = coordinates(trajectory, kind, ids)

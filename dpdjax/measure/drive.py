@@ -3,12 +3,12 @@ torque."""
 
 import dataclasses
 import math
-import warnings
 
 import numpy as np
 
 from dpdjax.engine.drivers import Drive
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.errors import warn
 from dpdjax.measure import needs
 from dpdjax.measure.reading import chosen_beads, displaced, of_beads, recorded
 from dpdjax.measure.replicas import bead_masses, refuse_scan, shared, species_of
@@ -174,8 +174,7 @@ def _check_error(diffusion: Estimate, mobility_unit: float, time: float):
     scatters by ``sqrt(2 D t)``."""
     least = mobility_unit * math.sqrt(2 * abs(diffusion.value) / time) if time else 0.0
     if diffusion.error < SUSPECT * least:
-        warnings.warn(
+        warn(
             f"the error bar of {diffusion} cannot be below {least:.2g} in a run of {time:.3g} "
             "time units in all: its blocks are shorter than the velocity lives; run longer",
-            stacklevel=4,
         )

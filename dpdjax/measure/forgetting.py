@@ -6,11 +6,11 @@ has stirred up around it, which comes back to it until the longest wave of the b
 
 import dataclasses
 import math
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 
+from dpdjax.errors import warn
 from dpdjax.measure.hydrodynamics import velocity_tail
 from dpdjax.measure.replicas import shared, volume_of
 from dpdjax.measure.statistics import Estimate
@@ -89,11 +89,10 @@ def is_forgotten(memory: Memory, found: Estimate, lags, pieces: int) -> bool:
     missing = float(np.mean(_missing(memory, whole, lags)))
     if missing <= LIKELY * found.error:
         return True
-    warnings.warn(
+    warn(
         f"{span} velocities are still remembered, by the flow that the beads have stirred up too: "
         f"the diffusion coefficient {found} is too small by about {missing:.2g}, or more; "
         f"{_cure(memory, whole, pieces)}",
-        stacklevel=4,
     )
     return False
 

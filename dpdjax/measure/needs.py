@@ -1,12 +1,12 @@
 """What measures need of a run, and the checks that it is so."""
 
 import math
-import warnings
 
 import numpy as np
 
 from dpdjax import drawing
 from dpdjax.checks import is_concrete
+from dpdjax.errors import warn
 from dpdjax.measure.replicas import bead_masses, species_of, volume_of
 from dpdjax.measure.statistics import block_average
 from dpdjax.model import rates
@@ -24,15 +24,14 @@ LIKELY = 3.0
 """Standard deviations by which a mean is off by chance at most."""
 
 
-def warn_of_ages(what, name: str, stacklevel: int = 3):
+def warn_of_ages(what, name: str):
     """Warn where an average over the frames of a run is one over ages: frames that are further and
     further apart are of something that ages."""
     frames = getattr(what, "frames", {})
     if "time" in frames and drawing.grows(np.atleast_2d(frames["time"])[0]):
-        warnings.warn(
+        warn(
             f"the frames are further and further apart, and {name} is the mean over all of them, "
             "most of them young: trajectory.last(6) has the last six",
-            stacklevel=stacklevel,
         )
 
 
@@ -89,11 +88,10 @@ def warn_of_heat(trajectory, frames: dict):
     chance = float(np.max(doubt(trajectory, series.shape[-1])))
     measured = is_off(series, kT, chance)
     if measured is not None:
-        warnings.warn(
+        warn(
             f"the beads were at {measured:.4g} where kT is {kT:.4g}, and what is measured is of "
             "that temperature: use a smaller shear rate or dt, or leave out more of the start, "
             "skip=...",
-            stacklevel=3,
         )
 
 
@@ -174,10 +172,9 @@ def warn_of_others(trajectory, meant: tuple[type, ...] = ()):
     others = [d for d in trajectory.flow.drivers if not isinstance(d, meant)]
     if others:
         kinds = ", ".join(type(driver).__name__ for driver in others)
-        warnings.warn(
+        warn(
             f"{kinds} drove this run too, and what it did is in what is measured here; measure in "
             "a run without it",
-            stacklevel=4,
         )
 
 
@@ -218,11 +215,10 @@ def warn_of_drift(series: dict):
     for name, values in series.items():
         pieces = pieces_in_time(values)
         if trend(values):
-            warnings.warn(
+            warn(
                 f"the run is not stationary: its {name} goes from {pieces[0]:.4g} to "
                 f"{pieces[-1]:.4g} over the frames used; leave out more at the start, skip=..., "
                 "or run longer",
-                stacklevel=3,
             )
 
 

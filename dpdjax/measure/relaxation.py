@@ -2,11 +2,11 @@
 
 import dataclasses
 import math
-import warnings
 
 import numpy as np
 
 from dpdjax.drawing import curve
+from dpdjax.errors import warn
 from dpdjax.measure.blocks import standard_error
 from dpdjax.measure.pools import groups_of
 from dpdjax.measure.statistics import Estimate
@@ -121,9 +121,8 @@ def warn_if_short(slowest: Relaxation, what: str):
         return
     tau, last = slowest.relaxation_time.value, slowest.time[-1]
     time = f"about {tau:.2g}" if np.isfinite(tau) else "unknown"
-    warnings.warn(
+    warn(
         f"{left:.0%} of {what} is still remembered at the longest lag, {last:.4g}: its relaxation "
         f"time is {time}, and the run is too short to tell it, and has seen each chain in few "
         "shapes; run longer, or give a longer t_max",
-        stacklevel=3,
     )

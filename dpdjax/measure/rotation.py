@@ -5,7 +5,6 @@ as in :mod:`dpdjax.measure.transport`.
 """
 
 import dataclasses
-import warnings
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from dpdjax.drawing import curve, labelled
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.rotation import axis_of
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.errors import warn
 from dpdjax.measure import needs, transport
 from dpdjax.measure.blocks import standard_error
 from dpdjax.measure.forgetting import Memory
@@ -176,10 +176,9 @@ def _unsheared(trajectory, name: str, components: int = 3):
     )
     needs.warn_unsettled(trajectory.frames)
     if needs.is_pushed(trajectory):
-        warnings.warn(
+        warn(
             "a force or a torque drove this run, and how it turned spheres is not taken off; "
             "measure in a run without it, or by dpd.measure.driven_rotation",
-            stacklevel=4,
         )
     return values
 

@@ -26,6 +26,8 @@ class Estimate:
         2.000 +- 0.026
         >>> round(solvent.deviation(0.859), 3)  # in standard errors
         2.0
+        >>> solvent.scaled(1e-9)
+        (8.510 +- 0.040)e-10
     """
 
     value: float
@@ -33,12 +35,19 @@ class Estimate:
     blocks: int = 0
 
     def __str__(self):
-        if not (math.isfinite(self.error) and self.error > 0):
-            return f"{self.value:.6g} +- {self.error:.2g}"
-        digits = max(0, 1 - math.floor(math.log10(self.error)))
-        if abs(self.value) >= 1e15 or digits > 15:
-            return f"{self.value:.6g} +- {self.error:.2g}"
-        return f"{self.value:.{digits}f} +- {self.error:.{digits}f}"
+        plainly = f"{self.value:.6g} +- {self.error:.2g}"
+        if not (math.isfinite(self.value) and math.isfinite(self.error) and self.error > 0):
+            return plainly
+        power = math.floor(math.log10(max(abs(self.value), self.error)))
+        if abs(power) > 300:
+            return plainly
+        unit = 1.0 if -6 < power < 7 else 10.0**power
+        value, error = self.value / unit, self.error / unit
+        digits = max(0, 1 - math.floor(math.log10(error)))
+        if digits > 15:
+            return plainly
+        written = f"{value:.{digits}f} +- {error:.{digits}f}"
+        return written if unit == 1.0 else f"({written})e{power}"
 
     __repr__ = __str__
 

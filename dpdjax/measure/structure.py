@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import warnings
 from typing import Any
 
 import jax
@@ -12,6 +11,7 @@ from jax.typing import ArrayLike
 
 from dpdjax.drawing import curve
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.errors import warn
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import error_of
 from dpdjax.measure.reading import as_frames, frame_lengths, recorded, strains
@@ -182,9 +182,8 @@ def _warn_of_room(position, lengths):
     another box."""
     span = np.ptp(position, axis=(0, 1, 2))
     if position.shape[2] >= 100 and np.all(span < EMPTY * lengths.min(axis=(0, 1))):
-        warnings.warn(
+        warn(
             f"the positions span {np.round(span, 3).tolist()} of a box of "
             f"{np.round(lengths[0, 0], 3).tolist()}, which scales every density and distance: give "
             "the box they are in",
-            stacklevel=4,
         )

@@ -7,13 +7,13 @@ since beads of one fluid are carried by the same eddies.
 
 import dataclasses
 import math
-import warnings
 
 import numpy as np
 
 from dpdjax.checks import plain, positive
 from dpdjax.drawing import curve, labelled
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.errors import warn
 from dpdjax.measure import needs
 from dpdjax.measure.blocks import PIECES, pieces_of_member, standard_error
 from dpdjax.measure.forgetting import Memory, is_forgotten, memory_of_beads
@@ -293,11 +293,10 @@ def _check_straight(time, curves, window, found: Estimate):
     early, late = (einstein(time, curves, half) for half in np.array_split(lags, 2))
     change = late - early
     if change.mean() > max(0.1 * early.mean(), 3 * change.std(ddof=1) / np.sqrt(len(change))):
-        warnings.warn(
+        warn(
             f"the mean squared displacement is not yet straight between {time[lags[0]]:.4g} and "
             f"{time[lags[-1]]:.4g}: its slope grows by {change.mean() / early.mean():.0%} within, "
             f"so {found} is too small; run longer, or fit later lags, fit=(...)",
-            stacklevel=4,
         )
 
 
@@ -313,11 +312,10 @@ def _check_close(time, curves, window, found: Estimate):
     # The trapezoidal rule is off by the square of the step: by a third of what doubling it changes.
     off = float(np.mean(coarse - green_kubo_integral(time, curves, window))) / 3
     if off > found.error:
-        warnings.warn(
+        warn(
             f"frames {time[1]:.3g} apart are too far for the integral of the velocity "
             "autocorrelation, which is too large by about "
             f'{off:.2g}, more than the error of {found}; record closer frames, or use method="msd"',
-            stacklevel=4,
         )
 
 
@@ -397,11 +395,10 @@ def columns_of(trajectory, axes: str) -> list[int]:
     if is_odd or len(set(axes)) < len(axes) or not set(axes) <= set("xyz"):
         raise ValueError(f'axes is {axes!r}; give some of "xyz", such as "yz" across a shear flow')
     if len(axes) == 3 and needs.is_pushed(trajectory):
-        warnings.warn(
+        warn(
             "a force drove this run, and the flow that it made is not taken off the motion of the "
             "beads; "
             'measure across it, axes="yz" for a force along x',
-            stacklevel=4,
         )
     return ["xyz".index(axis) for axis in axes]
 

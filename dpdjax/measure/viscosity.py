@@ -13,7 +13,6 @@ numbers is refused.
 
 import functools
 import math
-import warnings
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -34,6 +33,7 @@ from dpdjax.engine.observables import (
 from dpdjax.engine.record import Recorder, integral, mean
 from dpdjax.engine.state import State
 from dpdjax.engine.trajectory import Trajectory
+from dpdjax.errors import warn
 from dpdjax.measure import needs
 from dpdjax.measure.replicas import refuse_scan, shared
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
@@ -190,11 +190,10 @@ def _warn_unfaded(correlation, interval: float, later: Estimate, found: Estimate
     missing = last.value * later.value / (first - last.value) if first > last.value else math.inf
     if abs(missing) > LIKELY * found.error:
         rest = f"about {missing:.2g}" if math.isfinite(missing) else "most of it"
-        warnings.warn(
+        warn(
             "the stress is still remembered at the end of the window, to "
             f"{last.value / first:.0%} of what it was, and the viscosity {found} leaves out "
             f"{rest}; give a longer window, a few times {interval * lags:.3g}",
-            stacklevel=3,
         )
 
 
@@ -273,11 +272,10 @@ def _warn_bent(early, late, found: Estimate):
     than errors explain."""
     change = from_replicas(late - early)
     if change.deviation(0.0) > CLEARLY and abs(change.value) > LIKELY * found.error:
-        warnings.warn(
+        warn(
             "the integral of the stress is not yet straight: its slope changes by "
             f"{change.value:.2g} between the two halves of the window, and the viscosity {found} "
             "is off; start later, start=..., or give a longer window",
-            stacklevel=3,
         )
 
 

@@ -4,7 +4,6 @@ them."""
 import dataclasses
 import functools
 import math
-import warnings
 from collections.abc import Callable, Sequence
 
 import jax
@@ -13,6 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import choice, is_concrete, not_negative, one, positive
+from dpdjax.errors import warn
 from dpdjax.model import colloid_laws, laws
 from dpdjax.model.fluid import Fluid, fluid, interaction
 from dpdjax.model.term import Term, several, term
@@ -117,10 +117,9 @@ def colloid_fluid(
     if attraction is None:
         attraction = term(colloid_laws.morse, D0=D0, kappa=kappa, r0=r0, **up_to_r_c)
     elif is_concrete(D0) and np.any(np.asarray(D0) != 0):
-        warnings.warn(
+        warn(
             f"D0 is {D0}, the depth of the Morse attraction, and not used: attraction= is given "
             "instead",
-            stacklevel=2,
         )
     attraction = several(attraction, "attraction")
     strength, rub = repulsion * kT, {"gamma": gamma, "r_c": r_c}

@@ -1,7 +1,6 @@
 """A fluid: which groups of beads interact by which terms, at which temperature and mass."""
 
 import dataclasses
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from dpdjax.checks import Numbers, choice, is_concrete, not_negative, positive, whole
+from dpdjax.errors import warn
 from dpdjax.model import summary
 from dpdjax.model.bonded import BEADS, Bonded, Terms, bonded, refuse_tables
 from dpdjax.model.declare import CENTRAL, FRICTION, POTENTIAL, check_kind, name_of
@@ -512,12 +512,11 @@ def _warn_of_energies(fluid, kT, given):
     ):
         return
     if not np.array_equal(kT, fluid.kT):
-        warnings.warn(
+        warn(
             f"kT is now {float(kT):.9g} and was {float(fluid.kT):.9g}, and potentials keep their "
             "coefficients, "
             'so that they are others in kT: say energies="keep" if that is meant, '
             'energies="scale" to keep them the same in kT',
-            stacklevel=3,
         )
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Mapping
 
 import jax
@@ -15,6 +14,7 @@ from dpdjax.engine.choice import suited
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.refusals import check_bonds
 from dpdjax.engine.state import State
+from dpdjax.errors import warn
 from dpdjax.model import bonded_laws, laws
 from dpdjax.model.bonded import Terms
 from dpdjax.model.fluid import Fluid, fluid
@@ -189,11 +189,10 @@ def _warn_of_short_sides(made: Fluid, lengths):
     longest = max([thermal_length(numbers, b) for b in numbers.bonded if b.kind == "bond"] or [0.0])
     least = ROOMY * longest / math.sqrt(3.0)
     if min(lengths) < least:
-        warnings.warn(
+        warn(
             f"bonds {longest:.2g} long on average reach half of a side of {min(lengths):.3g} now "
             f"and then, and a run ends there: use sides of {_up(least):g} or more, or stiffer "
             "bonds",
-            stacklevel=3,
         )
 
 

@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import time
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +13,7 @@ import dpdjax
 from dpdjax import drawing
 from dpdjax.checks import file_name
 from dpdjax.engine.tables import xarray_module
-from dpdjax.errors import FileError
+from dpdjax.errors import FileError, warn
 from dpdjax.files.gsd import writing
 from dpdjax.files.locks import held
 from dpdjax.files.states import replacing
@@ -241,7 +240,7 @@ class Store:
         lock = f"{os.fspath(self.path)}.lock"
         with writing(self.path), open(lock, "a"):
             pass
-        with held(lock):
+        with held(lock, self.path):
             try:
                 yield
             finally:
@@ -387,8 +386,7 @@ def tell(table: Table) -> None:
         told = table.told(name)
         if told:
             more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
-            warnings.warn(
+            warn(
                 f"{len(told)} of {runs} runs {what}, see the table's {name}: "
                 f"{'; '.join(told[:3])}{more}",
-                stacklevel=3,
             )

@@ -51,7 +51,7 @@ def test_file_that_is_no_state(tmp_path, state):
     (tmp_path / "empty").touch()
     for name in ("array.npy", "arrays.npz", "text", "empty"):
         with pytest.raises(
-            ValueError,
+            dpd.FileError,
             match=f"{name} is not a dpdjax state, or a damaged one; write one with dpd.save_state",
         ):
             dpd.load_state(tmp_path / name)
@@ -59,14 +59,14 @@ def test_file_that_is_no_state(tmp_path, state):
         dpd.load_state(tmp_path / "nowhere.npz")
     np.savez(tmp_path / "future.npz", meta='{"format": 99, "grids": []}')
     with pytest.raises(
-        ValueError, match=f"future.npz has format 99, this version reads {states.FORMAT}"
+        dpd.FileError, match=f"future.npz has format 99, this version reads {states.FORMAT}"
     ):
         dpd.load_state(tmp_path / "future.npz")
     dpd.save_state(tmp_path / "state.npz", state)
     with np.load(tmp_path / "state.npz") as file:
         np.savez(tmp_path / "torn.npz", **{name: file[name] for name in file if name != "velocity"})
     with pytest.raises(
-        ValueError, match="torn.npz lacks the array 'velocity'; save the state again"
+        dpd.FileError, match="torn.npz lacks the array 'velocity'; save the state again"
     ):
         dpd.load_state(tmp_path / "torn.npz")
 
@@ -75,7 +75,7 @@ def test_float64_state_needs_float64(state, tmp_path):
     dpd.save_state(tmp_path / "state.npz", state)
     jax.config.update("jax_enable_x64", False)
     try:
-        with pytest.raises(ValueError, match="holds float64; start with JAX_ENABLE_X64=1"):
+        with pytest.raises(dpd.FileError, match="holds float64; start with JAX_ENABLE_X64=1"):
             dpd.load_state(tmp_path / "state.npz")
     finally:
         jax.config.update("jax_enable_x64", True)

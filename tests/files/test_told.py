@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.files.told import differences, told
+from dpdjax.files.told import _without_comments, differences, told
 
 FACTOR = 1.0
 
@@ -107,3 +107,12 @@ def test_other_processes_tell_alike():
         ).stdout
     )
     assert run() == run()
+
+
+def test_comments_do_not_count():
+    """Of a source only what it does, as long as strings keep their hashes."""
+    plain = "def f(x):\n    return '#' + x\n"
+    noted = "def f(x):  # of x\n    # more of it\n\n    return '#' + x  # done\n"
+    assert _without_comments(noted) == _without_comments(plain) == plain.strip()
+    assert _without_comments(plain.replace("#", "%")) != plain.strip()
+    assert _without_comments("not ( python") == "not ( python"

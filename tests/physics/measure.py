@@ -325,6 +325,72 @@ def slope_water():
     ]
 
 
+def diffusion_tangents(matter, dt, duration, windows, side=6.0, count=8, seed=25, frames=12):
+    """``<v(0) (r(t) - r(0))>/3``, which grows to the diffusion, and its slope in gamma: times
+    (frames,), and both of each window of each box (windows, frames)."""
+    state, keys = boxes(matter, side, count, dt, seed)
+    plan = dpd.Plan(frames, round(duration / dt / frames))
+
+    @jax.jit
+    def window(state, key):
+        first = dpd.observe.positions(matter, state)
+
+        def grown(gamma):
+            here = matter.set(gamma=gamma)
+            ran = dpd.simulate(here, state, key, dt, plan, observe=dpd.observe.positions)
+            way = ran.frames["unwrapped"] - first["unwrapped"]
+            return jnp.mean(jnp.sum(way * first["velocity"], axis=-1), axis=-1) / 3, ran.final
+
+        return jax.jvp(grown, (matter.value("gamma"),), (1.0,), has_aux=True)
+
+    found = []
+    for k in range(count):
+        here = jax.tree.map(lambda leaf: leaf[k], state)
+        for w in range(windows):
+            value, slope, here = window(here, jax.random.fold_in(keys[k], w))
+            found.append((value, slope))
+    values, slopes = np.moveaxis(np.array(found, float), 1, 0)
+    return dt * plan.every * np.arange(1, frames + 1), values, slopes
+
+
+def slope_diffusion():
+    """d D / d gamma at both: tangents of the velocity autocorrelation against independent runs.
+
+    The start of a window knows nothing of gamma, so what the tangent has is exact for the integral
+    of the autocorrelation up to the window's end. It carries the slope of the diffusion from where
+    velocities are forgotten to where the noise has grown: the note has its course.
+    """
+    rows = []
+    for matter, dt, at, near in ((IDEAL, 0.01, 1.5, (4.0, 6.0)), (WATER, 0.01, 0.8, (3.5, 5.5))):
+        a, gamma = float(matter.value("a")), float(matter.value("gamma"))
+        times, _, slopes = diffusion_tangents(matter, dt, 1.5 * at, 40)
+        each = [from_replicas(c.reshape(64, -1).mean(axis=1)) for c in slopes.T]
+        low, high = (diffused(fluid(a, g), dt, 30 + k) for k, g in enumerate(near))
+        chord = Estimate(high.value - low.value, math.hypot(high.error, low.error))
+        where = f"a {a:g}, gamma {gamma:g}, kT 1, dt {dt}"
+        course = ", ".join(f"{e} at {t:.2f}" for t, e in zip(times[1::2], each[1::2]))
+        rows.append(
+            row(
+                "d D / d gamma, tangent",
+                f"{where}, t = {at}",
+                each[int(np.argmin(np.abs(times - at)))],
+                chord.scaled(1.0 / (near[1] - near[0])),
+                f"runs at gamma {near[0]:g} and {near[1]:g}",
+                course,
+            )
+        )
+        for g, D in zip(near, (low, high)):
+            rows.append(row("diffusion, in the box", f"a {a:g}, gamma {g:g}, side 10", D))
+    return rows
+
+
+def diffused(matter, dt, seed) -> Estimate:
+    """Diffusion in boxes of side 10."""
+    state, keys = boxes(matter, 10.0, 4, dt, seed)
+    ran = go(matter, state, keys, dt, 120.0, 50, observe=dpd.observe.positions)
+    return dpd.diffusion(ran, fit=(3.0, 9.0))
+
+
 def growth():
     """How fast a tangent grows: the noise of d eta / d gamma over long windows."""
     rows = []
@@ -497,6 +563,7 @@ ROOMS = (
     water_shear,
     slope_ideal,
     slope_water,
+    slope_diffusion,
     growth,
     identities,
     main_job,
