@@ -13,6 +13,7 @@ from dpdjax.calibration.calibrate import (
     calibrate as calibrate,
     measure_viscosity as measure_viscosity,
 )
+from dpdjax.calibration.goal import suggest_rate as suggest_rate
 from dpdjax.calibration.relative import relative_viscosity as relative_viscosity
 from dpdjax.engine.deformation import oscillatory_shear as oscillatory_shear, shear as shear
 from dpdjax.engine.drivers import drive as drive
@@ -67,6 +68,9 @@ from dpdjax.scans.table import (
     merge_scans as merge_scans,
     scan_points as scan_points,
 )
+from dpdjax.surrogate.atlas import atlas as atlas
+from dpdjax.surrogate.design import design as design
+from dpdjax.surrogate.picture import plot_atlas as plot_atlas
 
 __version__: str
 __all__: list[str]

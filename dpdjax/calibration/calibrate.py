@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from dpdjax.engine.compiling import Clock
 from dpdjax.engine.flow import Driving
 from dpdjax.engine.integrator import Integrator
 from dpdjax.engine.state import State
-from dpdjax.errors import TargetError
+from dpdjax.errors import TargetError, warn
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import drag_viscosity, thermal_time
@@ -429,10 +428,9 @@ def tell_contradiction(fluid, setup: wishes.Setup, name: str, measured: Estimate
         return
     apart = abs(measured.value - known.value) - 0.5 * setup.tolerance * abs(known.value)
     if apart > CONTRADICTS * math.hypot(measured.error, known.error):
-        warnings.warn(
+        warn(
             f"the {name} {measured} of this run contradicts the atlas, which has {known}: look at "
             "its dt, rate and box; where they are as suggested, trust the run",
-            stacklevel=4,
         )
 
 

@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import math
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -25,6 +24,7 @@ from dpdjax.engine.simulate import proceed
 from dpdjax.engine.state import grow
 from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
+from dpdjax.errors import RunError, warn
 from dpdjax.measure.molecules import molecules_of
 from dpdjax.measure.needs import HOT, WARM
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
@@ -320,6 +320,8 @@ def measure(
     memory = max(remembered(fluid, ensemble.density), ensemble.memory(fluid))
     block = math.ceil(memory / piece_time)
     pieces = -(-max(LEAST_PIECES, LEAST_BLOCKS * block) // ensemble.state.position.shape[0])
+    cost = max(pieces * plan.steps * ensemble.beads, _cost(ensemble, fluid, error, dt))
+    report(f"about {min(cost, most):.1g} particle-steps for {ensemble.goal.name} to {error:.2g}")
     while True:
         frames = _extend(ensemble, fluid, dt, plan)
         spent += plan.steps * ensemble.beads
@@ -347,15 +349,30 @@ def measure(
     )
 
 
+def _cost(ensemble, fluid, error: float, dt: float) -> float:
+    """Particle-steps that a viscosity to a standard error takes; 0 of what is no viscosity, of
+    which nothing is known before.
+
+    A mean stress of a volume V over a time t scatters by ``sqrt(2 viscosity kT/(V t))``, as of
+    Green and Kubo, whatever the fluid.
+    """
+    goal = ensemble.goal
+    rate = float(goal.flow.rate)
+    if goal.name != "viscosity" or rate == 0 or error <= 0:
+        return 0.0
+    volume = ensemble.beads / ensemble.density
+    time = 2 * abs(goal.target) * float(fluid.kT) / (volume * (rate * error) ** 2)
+    return time / dt * ensemble.beads
+
+
 def _tell_heat(ensemble, fluid, dt, temperature):
     """Warn where the whole measurement was warmer than the wanted fluid."""
     if math.isnan(temperature) or temperature <= (1 + WARM) * float(fluid.kT):
         return
-    warnings.warn(
+    warn(
         f"{ensemble.goal.name} was measured {100 * (temperature / float(fluid.kT) - 1):.0f} % "
         f"above kT, with shear rate {float(ensemble.goal.flow.rate):.3g} and dt {dt:.3g}: give a "
         "smaller rate= or dt=",
-        stacklevel=2,
     )
 
 
@@ -365,7 +382,7 @@ def _refuse_heat(ensemble, fluid, dt, temperature):
         return
     kT = float(fluid.kT)
     if temperature > (1 + HOT) * kT:
-        raise RuntimeError(
+        raise RunError(
             f"the fluid runs at a temperature of {temperature:.3g} instead of kT = {kT:.3g}, with "
             f"shear rate {float(ensemble.goal.flow.rate):.3g} and dt {dt:.3g}: give a smaller "
             "rate= or dt="
@@ -410,7 +427,7 @@ def replay(ensemble, system: System, plan, observe):
     )
     trouble = bits.describe(after.status)
     if trouble:
-        raise RuntimeError(f"the calibration stopped: {trouble}")
+        raise RunError(f"the calibration stopped: {trouble}")
     return after, frames
 
 
@@ -512,7 +529,7 @@ def window_tangents(ensemble, fluid, names, k, dt, plan):
         if status & ~np.uint32(bits.OVERFLOWS):
             break
         ensemble.state = grow(ensemble.state)
-    raise RuntimeError(f"tangent window failed: {bits.describe(status)}")
+    raise RunError(f"tangent window failed: {bits.describe(status)}")
 
 
 @functools.partial(jax.jit, static_argnames=("names", "shape", "how"))

@@ -8,9 +8,11 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+from dpdjax.checks import plain, positive
 from dpdjax.engine.deformation import shear
 from dpdjax.engine.flow import Flow
 from dpdjax.engine.observables import STATIC, pressure_tensor, temperature
+from dpdjax.model.fluid import Fluid
 from dpdjax.model.rates import (
     damping_rate,
     kinetic_theory_viscosity,
@@ -18,6 +20,7 @@ from dpdjax.model.rates import (
     repulsion_energy,
     thermal_time,
 )
+from dpdjax.surrogate.foresight import foretold
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,6 +115,11 @@ def rough_viscosity(fluid, density: float) -> float:
     return kinetic_theory_viscosity(fluid, density)
 
 
+def _about(fluid, density: float) -> float:
+    known = foretold(fluid, density, "viscosity")
+    return rough_viscosity(fluid, density) if known is None else known.value
+
+
 HEATING = 2.5
 """Measured viscous heating over its mean-field estimate (2.2 at a = 0, 2.7 for the colloid
 solvent)."""
@@ -145,8 +153,13 @@ def thinning_time(fluid, density: float) -> float:
     return STIFF * (a / 100.0) ** STIFF_POWER * (2.5 / crowd) ** CROWDED * thermal_time(fluid)
 
 
-def suggest_rate(fluid, density: float, viscosity: float, tolerance: float = 0.02) -> float:
+def suggest_rate(
+    fluid: Fluid, density: float, viscosity: float | None = None, tolerance: float = 0.02
+) -> float:
     """The largest shear rate whose bias stays below half the tolerance [1/time].
+
+    Of a fluid of one kind of beads; colloids and chains relax more slowly than they do, and need
+    smaller rates.
 
     One bias is viscous heating, ``eta rate^2 / (3 rho kT omega)`` times ``HEATING``, and it
     acts on the kinetic share of the viscosity, estimated as ``rho m D / 2`` of kinetic theory
@@ -154,8 +167,26 @@ def suggest_rate(fluid, density: float, viscosity: float, tolerance: float = 0.0
     at gamma 42, kT 0.1 an excess temperature of 10 % changed the viscosity by 1 %. The other is
     the structure that shear makes faster than it relaxes, ``STRUCTURE (rate / structure_rate)^2``.
     A third is that stiff beads thin, by ``(rate thinning_time)^2 / 6``.
+
+    Args:
+        fluid: with drag.
+        density: beads per volume.
+        viscosity: about; by default that of the atlas, or of kinetic theory where it has none.
+        tolerance: relative, of the viscosity.
+
+    Raises ValueError for a fluid without drag, and for numbers not above zero.
+
+    Example:
+        >>> rate = dpd.suggest_rate(water, density=3.0, tolerance=0.05)
+        >>> 0.1 < dpd.suggest_rate(water, density=3.0) < rate < 1.0
+        True
     """
+    density, tolerance = (
+        plain(density, "density", positive),
+        plain(tolerance, "tolerance", positive),
+    )
     kT, omega = float(fluid.kT), damped(fluid, density)
+    viscosity = _about(fluid, density) if viscosity is None else viscosity
     kinetic = 0.5 * density * kT / omega
     share = min(1.0, max(kinetic / viscosity, 1.0 / 3.0))
     heating = min(0.5 * tolerance / share, 0.03)

@@ -14,24 +14,42 @@ from dpdjax.errors import TargetError
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.summary import as_table
-from dpdjax.model.units import Units
-from dpdjax.surrogate.atlas import NAMES, QUANTITIES, SOFT, Properties, Table, properties, ranges
+from dpdjax.model.units import FORMAL, Units
+from dpdjax.surrogate.atlas import (
+    NAMES,
+    QUANTITIES,
+    SOFT,
+    Properties,
+    Table,
+    properties,
+    refuse_outside,
+)
 from dpdjax.surrogate.reduced import QUADRATIC, Reduced, scale_of, strength
 
 KNOBS = ("gamma", "exponent", "repulsion")
 """What may be found, in the order in which it is."""
 PLACES = {"repulsion": 1, "gamma": 2, "exponent": 3}
 """Of them among the numbers of a state."""
+PRODUCT = "viscosity times diffusion"
+"""What is wanted of both where the unit of time is to be found: there is none in it."""
 WANTS = {
     "viscosity": ("gamma", "exponent", "repulsion"),
     "diffusion": ("gamma", "exponent", "repulsion"),
     "schmidt": ("gamma", "exponent", "repulsion"),
+    PRODUCT: ("repulsion", "gamma", "exponent"),
     "pressure": ("repulsion",),
     "compressibility": ("repulsion",),
 }
 """What may be wanted, and which knobs it turns."""
-REPULSION = 25.0
-"""Where it is neither given nor found, in kT over reach."""
+SI = {
+    "viscosity": "Pa s",
+    "diffusion": "m^2/s",
+    "schmidt": "",
+    "pressure": "Pa",
+    "compressibility": "1/Pa",
+}
+REPULSION, FRICTION = 25.0, 4.5
+"""Where they are neither given nor found, in kT over reach, and in thermal units."""
 POINTS = {1: 400, 2: 64, 3: 26}
 """Of a grid along each knob, by how many are found."""
 ROUNDS, CLOSE, SAME = 30, 1e-9, 1e-3
@@ -49,6 +67,7 @@ class Branch:
         fluid: it, for :func:`dpdjax.simulate`, :func:`dpdjax.calibrate`, ...
         integrator, dt: that suit it.
         properties: all that the atlas says of it, in its units.
+        units: what these are in SI; None where nobody said.
     """
 
     gamma: Estimate
@@ -59,13 +78,34 @@ class Branch:
     integrator: Integrator
     dt: float
     properties: Properties
+    units: Units | None = None
 
     @property
     def _rows(self) -> list[tuple[str, str]]:
         told = [(name, _written(getattr(self, name))) for name in KNOBS]
         told += [("density", f"{self.density:.6g}"), ("kT", f"{float(self.fluid.kT):.6g}")]
         step = f"{self.dt:.3g} ({type(self.integrator).__name__})"
-        return [*told, ("dt", step), *self.properties._rows]
+        return [*told, ("dt", step), *self._properties, *self._units]
+
+    @property
+    def _properties(self) -> list[tuple[str, str]]:
+        if self.units is None:
+            return self.properties._rows
+        own = [(name, getattr(self.properties, name)) for name in QUANTITIES]
+        in_si = lambda name, value: value.scaled(scale_of(name, self.units))
+        return [
+            (name, f"{value} = {in_si(name, value)} {SI[name]}" if SI[name] else str(value))
+            for name, value in own
+        ]
+
+    @property
+    def _units(self) -> list[tuple[str, str]]:
+        if self.units is None:
+            return []
+        each = [("length", "m"), ("mass", "kg"), ("time", "s")]
+        return [
+            (f"unit of {name}", f"{getattr(self.units, name):.4g} {unit}") for name, unit in each
+        ]
 
     def told(self) -> dict:
         """All numbers, as what JSON holds; those with errors as pairs."""
@@ -73,7 +113,10 @@ class Branch:
         found = {name: pair(getattr(self, name)) for name in KNOBS}
         found |= {name: pair(getattr(self.properties, name)) for name in QUANTITIES}
         more = {"density": self.density, "kT": float(self.fluid.kT), "dt": self.dt}
-        return found | more | {"integrator": type(self.integrator).__name__}
+        more |= {"integrator": type(self.integrator).__name__}
+        if self.units is not None:
+            more["units"] = {n: getattr(self.units, n) for n in ("length", "mass", "time")}
+        return found | more
 
     def __str__(self):
         return "\n".join(f"{name:16s} {value}" for name, value in self._rows)
@@ -86,7 +129,7 @@ class Design:
     """The fluids that have what is wanted, of the largest friction first.
 
     Attributes:
-        wanted: the numbers, in units of the fluids.
+        wanted: the numbers, as they were given.
         branches: the fluids, each a :class:`Branch`.
     """
 
@@ -136,13 +179,15 @@ def design(
     exponent: float | None = None,
     repulsion: float | None = None,
     units: Units | None = None,
+    find_time: bool = False,
 ) -> Design:
     """The fluids that have wanted properties, at once, by the atlas.
 
     As many of ``gamma``, ``exponent`` and ``repulsion`` are found as numbers are wanted, of those
     that are not given: pressure and compressibility turn the repulsion, the others gamma first and
-    the exponent next. What is neither found nor given is 2 for the exponent and ``25 kT/r_c`` for
-    the repulsion.
+    the exponent next; but viscosity and diffusion of a time that is found as well the repulsion.
+    What is neither found nor given is 2 for the exponent, ``25 kT/r_c`` for the repulsion and
+    ``4.5 sqrt(mass kT)/r_c`` for gamma.
 
     Args:
         viscosity: at small shear rates [energy time/length^3].
@@ -155,32 +200,48 @@ def design(
         gamma: friction of ``gamma (1 - r/r_c)^exponent`` [mass/time].
         exponent: of the weight of the drag.
         repulsion: ``a`` of the force ``a (1 - r/r_c)`` [energy/length].
-        units: in which the wanted numbers are SI, such as :func:`dpdjax.water_units`; what else is
-            given stays in units of the fluid.
+        units: with them the wanted numbers are in SI, such as :func:`dpdjax.water_units`; what else
+            is given stays in units of the fluid.
+        find_time: take the length and the energy of ``units`` and find the time, for a viscosity
+            and a diffusion together: what the fluid has to have is their product, and a unit of
+            time then makes both right. The unit of mass follows, and is formal.
 
     Returns a :class:`Design` with all branches: of one viscosity there are often two gammas, and
     more where several numbers are found. Raises TargetError where there is none, with what can be
     reached; ValueError for what does not go together.
+
+    Example:
+        >>> found = dpd.design(viscosity=1.1, kT=0.1, repulsion=2.5)
+        >>> found[0].gamma  # doctest: +SKIP
+        >>> fluid, dt = found.fluid, found[0].dt
+        >>> liquid = dpd.water_units(molecules=1.0, temperature=298.0)
+        >>> in_si = dpd.design(viscosity=0.9e-3, diffusion=2.3e-9, units=liquid, find_time=True)
     """
     asked = dict(
         viscosity=viscosity, diffusion=diffusion, schmidt=schmidt,
         pressure=pressure, compressibility=compressibility,
     )  # fmt: skip
-    wanted = _wanted(asked, units)
+    asked = _asked(asked)
+    wanted = _wanted(asked, units, find_time)
     kT, mass = _exact(kT, "kT", positive), _exact(mass, "mass", positive)
     r_c = _exact(r_c, "r_c", positive)
     thermal = Units(r_c, mass, r_c * math.sqrt(mass / kT))
     given = _given(dict(gamma=gamma, exponent=exponent, repulsion=repulsion), thermal)
-    state = np.array([_exact(density, "density", positive) * r_c**3, REPULSION, 1.0, QUADRATIC])
+    state = np.array(
+        [_exact(density, "density", positive) * r_c**3, REPULSION, FRICTION, QUADRATIC]
+    )
     for name, value in given.items():
         state[PLACES[name]] = value
-    search = _Search(state, _knobs(wanted, given), _in_thermal_units(wanted, thermal))
-    search.refuse_outside()
+    goals = {name: value / _scale(name, thermal) for name, value in wanted.items()}
+    search = _Search(state, _knobs(wanted, given), goals)
+    refuse_outside(Reduced(*state), [NAMES[PLACES[knob]] for knob in search.knobs])
     roots = search.roots()
     if not roots:
-        raise TargetError(search.unreached(thermal), ())
-    branches = [_branch(root, search, thermal) for root in roots]
-    return Design(wanted, tuple(sorted(branches, key=lambda branch: -branch.gamma.value)))
+        raise TargetError(search.unreached(thermal, units), ())
+    found = [_branch(root, search, thermal) for root in roots]
+    if units is not None:
+        found = [_in_si(branch, asked, units, find_time) for branch in found]
+    return Design(asked, tuple(sorted(found, key=lambda branch: -branch.gamma.value)))
 
 
 def _exact(value, name: str, check) -> float:
@@ -189,16 +250,46 @@ def _exact(value, name: str, check) -> float:
     return float(value)
 
 
-def _wanted(asked: dict, units: Units | None) -> dict[str, float]:
-    """What is wanted, in units of the fluid."""
+def _asked(asked: dict) -> dict[str, float]:
+    """What is wanted at all."""
     found = {n: _exact(v, n, positive) for n, v in asked.items() if v is not None}
     if not found:
         raise ValueError(f"nothing is wanted; give {', '.join(asked)}, one or more")
-    return {n: v / (1.0 if units is None else scale_of(n, units)) for n, v in found.items()}
+    return found
 
 
-def _in_thermal_units(wanted: dict, thermal: Units) -> dict[str, float]:
-    return {name: value / scale_of(name, thermal) for name, value in wanted.items()}
+def _wanted(asked: dict, units: Units | None, find_time: bool) -> dict[str, float]:
+    """What is wanted, in units of the fluid."""
+    if find_time:
+        asked = _without_time(asked, units)
+    return {n: v / (1.0 if units is None else _scale(n, units)) for n, v in asked.items()}
+
+
+def _without_time(asked: dict, units: Units | None) -> dict[str, float]:
+    """What is wanted, with the product of viscosity and diffusion in place of both."""
+    if units is None:
+        raise ValueError("find_time finds a unit of time in seconds; give units too")
+    if not {"viscosity", "diffusion"} <= set(asked) or "schmidt" in asked:
+        raise ValueError(
+            "find_time is for a viscosity and a diffusion, and no Schmidt number, whose mass is "
+            f"real; wanted are {', '.join(asked)}"
+        )
+    rest = {n: v for n, v in asked.items() if n not in ("viscosity", "diffusion")}
+    return {PRODUCT: asked["viscosity"] * asked["diffusion"]} | rest
+
+
+def _scale(name: str, units: Units) -> float:
+    """One thermal unit of what is wanted in those of a fluid, or of what units are."""
+    return units.scale("force") if name == PRODUCT else scale_of(name, units)
+
+
+def _in_si(branch: "Branch", asked: dict, units: Units, find_time: bool) -> "Branch":
+    """The branch with its units in SI, the time among them where it is to be found."""
+    if find_time:
+        here = branch.properties.viscosity.value * units.energy / units.length**3
+        time = asked["viscosity"] / here
+        units = Units(units.length, units.energy * (time / units.length) ** 2, time, FORMAL)
+    return dataclasses.replace(branch, units=units)
 
 
 def _given(knobs: dict, thermal: Units) -> dict[str, float]:
@@ -242,17 +333,6 @@ class _Search:
     knobs: tuple[str, ...]
     goals: dict[str, float]
 
-    def refuse_outside(self):
-        """ValueError where what is given is outside of the atlas."""
-        found = [PLACES[knob] for knob in self.knobs]
-        low, high = zip(*ranges(self.state[3]).values())
-        for k, name in enumerate(NAMES):
-            if k not in found and not low[k] <= self.state[k] * (1 + 1e-9) <= high[k] * (1 + 2e-9):
-                raise ValueError(
-                    f"outside of the atlas: {name} is {self.state[k]:.4g} and it has "
-                    f"{low[k]:g} to {high[k]:g}"
-                )
-
     @property
     def bounds(self) -> np.ndarray:
         """Of the coordinates of what is found (2, knobs)."""
@@ -273,6 +353,7 @@ class _Search:
     def values(self, x) -> dict[str, np.ndarray]:
         """The quantities that are wanted, in thermal units, at coordinates (n, knobs)."""
         found = Table.shipped().values(self.numbers(x))
+        found[PRODUCT] = found["viscosity"] * found["diffusion"]
         return {name: found[name] for name in self.goals}
 
     def residuals(self, x) -> np.ndarray:
@@ -318,29 +399,30 @@ class _Search:
             x = np.clip(x + np.clip(step, -width, width), low, high)
         return None
 
-    def unreached(self, thermal: Units) -> str:
-        """What can be reached instead, in words."""
+    def unreached(self, thermal: Units, units: Units | None) -> str:
+        """What can be reached instead, in words and in the units in which it was asked."""
         _, residuals = self.grid
+        scale = lambda n: _scale(n, thermal) * (1.0 if units is None else _scale(n, units))
         told = []
         for k, (name, goal) in enumerate(self.goals.items()):
             others = np.delete(residuals, k, axis=-1)
             with_others = _changes_sign(others) if others.shape[-1] else None
-            told.append(_reach(name, residuals[..., k], goal, with_others, thermal))
-        wanted = ", ".join(f"{n} {v * scale_of(n, thermal):.4g}" for n, v in self.goals.items())
+            told.append(_reach(name, residuals[..., k], goal * scale(name), with_others))
+        wanted = ", ".join(f"{n} {v * scale(n):.4g}" for n, v in self.goals.items())
         return (
             f"no fluid of the atlas has {wanted} by {' and '.join(self.knobs)}: "
             f"{'; '.join(told)}; give another density, kT, exponent or repulsion"
         )
 
 
-def _reach(name: str, residuals, goal: float, with_others, thermal: Units) -> str:
+def _reach(name: str, residuals, goal: float, with_others) -> str:
     """What values there are of a number, where the others are as wanted if that can be."""
     if with_others is None or not with_others.any():
         chosen, where = residuals, ""
     else:
         corners = residuals[tuple(slice(0, -1) for _ in range(residuals.ndim))]
         chosen, where = corners[with_others], " where the rest is as wanted"
-    low, high = goal * scale_of(name, thermal) * np.exp([chosen.min(), chosen.max()])
+    low, high = goal * np.exp([chosen.min(), chosen.max()])
     return f"{name} goes from {low:.4g} to {high:.4g}{where}"
 
 
@@ -369,7 +451,8 @@ def _branch(x, search: _Search, thermal: Units) -> Branch:
     numbers = search.numbers(x)
     state = Reduced(*numbers[0], units=thermal)
     found = Table.shipped().at(numbers)
-    relative = np.array([found[name][1][0] for name in search.goals])
+    # Of a product and of a ratio errors are the same.
+    relative = np.array([found["schmidt" if n == PRODUCT else n][1][0] for n in search.goals])
     inverse = np.linalg.pinv(search.jacobian(x))
     errors = dict(zip(search.knobs, np.sqrt(inverse**2 @ relative**2)))
     own = {"gamma": state.gamma, "exponent": state.exponent, "repulsion": state.a}

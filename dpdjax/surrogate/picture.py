@@ -31,6 +31,10 @@ def plot_atlas(
         label: of the line.
 
     Returns the axes. Raises ValueError as :func:`dpdjax.atlas`, and for another quantity.
+
+    Example:
+        >>> ax = dpd.plot_atlas(dpd.water(), 3.0, label="a = 25")
+        >>> ax = dpd.plot_atlas(dpd.water(a=0.0), 3.0, ax=ax, label="a = 0")
     """
     quantity = choice(quantity, QUANTITIES[:3], "quantity")
     state = Reduced.of(fluid, plain(density, "density", positive))

@@ -38,13 +38,15 @@ def known(monkeypatch):
 
 def said(capsys, *arguments):
     """Exit status, standard output and standard error of a command."""
-    kept = [] if arguments[0] == "bench" else ["--no-cache"]
+    kept = [] if arguments[0] in ("bench", "design") else ["--no-cache"]
     status = main([str(a) for a in arguments] + kept)
     return status, *capsys.readouterr()
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["viscosity"], ["calibrate"], ["suspension"], ["bench"]], ids=" ".join
+    "command",
+    [[], ["design"], ["viscosity"], ["calibrate"], ["suspension"], ["bench"]],
+    ids=" ".join,
 )
 def test_help_imports_no_jax(command):
     code = f"""
@@ -144,6 +146,23 @@ def test_same_seed_same_words(known, capsys, monkeypatch):
     assert json.loads(first) | {"seconds": 0} == json.loads(
         said(capsys, "viscosity", "--json")[1]
     ) | {"seconds": 0}
+
+
+def test_design_as_json(capsys):
+    status, out, _ = said(
+        capsys, "design", "--viscosity", 1.1, "--kT", 0.1, "--repulsion", 2.5, "--json"
+    )
+    (branch,) = json.loads(out)["branches"]
+    same = dpd.design(viscosity=1.1, kT=0.1, repulsion=2.5)[0]
+    assert status == 0 and branch["gamma"] == [same.gamma.value, same.gamma.error]
+
+
+def test_design_of_a_liquid_in_si(capsys):
+    wanted = ["--viscosity", 0.89e-3, "--diffusion", 2.3e-9]
+    status, out, _ = said(capsys, "design", *wanted, "--celsius", 25, "--molecules", 1)
+    assert status == 0 and "Pa s" in out and "unit of time" in out
+    status, _, said_ = said(capsys, "design", "--viscosity", 1e3)
+    assert status == 2 and "viscosity goes from" in said_
 
 
 def test_readable_answers(known, capsys):
