@@ -1,8 +1,23 @@
-"""Axes and curves, for results that draw themselves. Matplotlib is an extra: ``dpdjax[plot]``."""
+"""Style, axes and curves, for results that draw themselves. Matplotlib is an extra:
+``dpdjax[plot]``."""
 
 import re
 
 import numpy as np
+
+COLOURS = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#56b4e9",
+    "#cc79a7",
+    "#7f7f7f",
+)
+"""Of lines and species, in this order: those of Okabe & Ito (2008), which colour-blind readers tell
+apart, and a grey."""
+STYLE = {"font.size": 11.0, "axes.labelsize": 11.0, "errorbar.capsize": 2.0}
+"""Of new figures, legible at the width of a column; what a user has set otherwise stays."""
 
 UNITS = {
     "time": "time",
@@ -49,13 +64,24 @@ def axes(ax=None):
 
 def panels(count: int):
     """So many new axes (count,) one below the other, which share x; ImportError as :func:`axes`."""
+    return grid(count, 1, (6.0, 4.2 if count == 1 else 0.6 + 1.8 * count), sharex=True)[:, 0]
+
+
+def grid(rows: int, columns: int, size: tuple[float, float], **how):
+    """New axes (rows, columns) in a figure of a size in inches; ImportError as :func:`axes`."""
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:
         raise ImportError('plots need matplotlib: pip install "dpdjax[plot]"') from error
-    size = (6.0, 4.2 if count == 1 else 0.6 + 1.8 * count)
-    figure = plt.figure(figsize=size, layout="constrained")
-    return figure.subplots(count, sharex=True, squeeze=False)[:, 0]
+    with plt.rc_context(_style(plt)):
+        figure = plt.figure(figsize=size, layout="constrained")
+        return figure.subplots(rows, columns, squeeze=False, **how)
+
+
+def _style(plt) -> dict:
+    """Ours, of what a user has not set."""
+    ours = STYLE | {"axes.prop_cycle": plt.cycler(color=COLOURS)}
+    return {k: v for k, v in ours.items() if plt.rcParams[k] == plt.rcParamsDefault[k]}
 
 
 def grows(time) -> bool:
@@ -81,11 +107,11 @@ def curve(ax, x, y, error, xlabel: str, ylabel: str):
 
 def plain_log_ticks(ax, which: str = "x"):
     """Numbers in full along a logarithmic axis, ``"x"`` or ``"y"``."""
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
     axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     low, high = axis.get_view_interval()
     subs = (1.0, 2.0, 5.0) if high / low > 10 else (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9)
     axis.set_major_locator(MaxNLocator(5) if high / low < 2.5 else LogLocator(subs=subs))
-    axis.set_major_formatter(ScalarFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from dpdjax.drawing import axes, labelled, plain_log_ticks
+from dpdjax.drawing import COLOURS, axes, labelled, plain_log_ticks
 
 
 def draw_calibration(fit, ax=None):
@@ -16,16 +16,21 @@ def draw_calibration(fit, ax=None):
     grid = np.linspace(low, high, 300)
     sigma = np.array([fit.curve.at(x).error for x in grid])
     ax.fill_between(
-        np.exp(grid), fit.curve(grid) - sigma, fit.curve(grid) + sigma, color="C0", alpha=0.2, lw=0
+        np.exp(grid),
+        fit.curve(grid) - sigma,
+        fit.curve(grid) + sigma,
+        color=COLOURS[0],
+        alpha=0.2,
+        lw=0,
     )
-    ax.plot(np.exp(grid), fit.curve(grid), color="C0", label="fit of all values and slopes")
+    ax.plot(np.exp(grid), fit.curve(grid), color=COLOURS[0], label="fit of all values and slopes")
     for k, p in enumerate(fit.history):
         near = np.array([p.x - 0.12, p.x + 0.12])
         label = "slope, by forward differentiation" if k == 0 else None
         ax.plot(
             np.exp(near),
             p.value.value + p.slope.value * (near - p.x),
-            color="C1",
+            color=COLOURS[1],
             lw=2.5,
             label=label,
         )
@@ -36,7 +41,7 @@ def draw_calibration(fit, ax=None):
     )  # fmt: skip
     ax.errorbar(
         [fit.value], [fit.measured.value], [fit.measured.error], xerr=[fit.error],
-        fmt="D", color="C3", ms=5, capsize=3, label=f"fresh run: {fit.measured}",
+        fmt="D", color=COLOURS[3], ms=5, capsize=3, label=f"fresh run: {fit.measured}",
     )  # fmt: skip
     ax.axhline(fit.target, color="0.4", ls="--", lw=1, label=f"target {fit.target:g}")
     ax.set_xscale("log")
@@ -54,10 +59,12 @@ def draw_measurement(measured, ax=None):
     ax = axes(ax)
     series = np.asarray(measured.series)
     running = np.cumsum(series.mean(0)) / np.arange(1, series.shape[1] + 1)
-    ax.plot(measured.time, running, color="C0", label="running mean")
+    ax.plot(measured.time, running, color=COLOURS[0], label="running mean")
     e = measured.estimate
-    ax.axhspan(e.value - e.error, e.value + e.error, color="C3", alpha=0.25, lw=0, label=f"{e}")
-    ax.axhline(e.value, color="C3", lw=1)
+    ax.axhspan(
+        e.value - e.error, e.value + e.error, color=COLOURS[3], alpha=0.25, lw=0, label=f"{e}"
+    )
+    ax.axhline(e.value, color=COLOURS[3], lw=1)
     late = running[len(running) // 10 :]
     spread = max(5 * e.error, 1.2 * np.abs(late - e.value).max())
     ax.set_ylim(e.value - spread, e.value + spread)

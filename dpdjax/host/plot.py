@@ -79,7 +79,7 @@ def _draw_energy(ax, time, values, trajectory):
 def _draw_momentum(ax, time, values, trajectory):
     per_bead = np.reshape(values, (*time.shape, 3)) / trajectory.final.n
     for k, axis in enumerate("xyz"):
-        lines = ax.plot(time.T, per_bead[..., k].T, lw=1, color=f"C{k}")
+        lines = ax.plot(time.T, per_bead[..., k].T, lw=1, color=drawing.COLOURS[k])
         lines[0].set_label(axis)
     ax.legend(ncols=3, loc="upper left")
     ax.set_ylabel("momentum per bead\n[mass length/time]")
@@ -210,7 +210,8 @@ def _by_species(ax, species):
     """Colours (n, 3) by the species of each, and which is which."""
     import matplotlib as mpl
 
-    hues = np.array(mpl.colormaps["tab10"].colors)[[0, 1, 7, 2, 3, 4, 5, 6, 8, 9]]
+    # The third is that of a solvent, and grey.
+    hues = mpl.colors.to_rgba_array([drawing.COLOURS[k] for k in (0, 1, 6, 2, 3, 4, 5)])[:, :3]
     told = [(f"species {k}", hues[k % len(hues)]) for k in np.unique(species)]
     patches = [mpl.patches.Patch(color=hue, label=label) for label, hue in told]
     ax.legend(handles=patches, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -250,7 +251,7 @@ def _by_cluster(ax, cluster):
     import matplotlib as mpl
 
     size = np.bincount(cluster)
-    hues = np.array(mpl.colormaps["tab10"].colors)[[0, 1, 2, 3, 4, 5, 6, 8, 9]]
+    hues = mpl.colors.to_rgba_array(drawing.COLOURS[:-1])[:, :3]
     of_cluster = np.where(size[:, None] > 1, hues[np.arange(len(size)) % len(hues)], SINGLE)
     told = [(f"cluster of {n}", of_cluster[k]) for k, n in enumerate(size[:NAMED]) if n > 1]
     told += [(f"{np.sum(size == 1)} single", [SINGLE] * 3)] if np.any(size == 1) else []

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from dpdjax.drawing import labelled
+from dpdjax.drawing import COLOURS, labelled
 
 TURNED, RAISED = np.radians(25.0), np.radians(20.0)
 """How far one looks from the right and from above."""
@@ -138,7 +138,7 @@ def draw_spheres(ax, cell: Cell, position, radius, colours, fade: bool):
 
 def draw_points(ax, cell: Cell, position, radius: float):
     """Small faint dots at positions (n, 3), behind all spheres."""
-    style = {"facecolor": "C0", "alpha": 0.35, "linewidth": 0, "zorder": 2}
+    style = {"facecolor": COLOURS[0], "alpha": 0.35, "linewidth": 0, "zorder": 2}
     _discs(ax, cell.seen(position)[:, :2], radius, **style)
 
 

@@ -63,14 +63,10 @@ def _draw_curves(found, axes):
 
 def draw_corner(found):
     """Histograms of each parameter, and of each two; those of the diagonal with the prior."""
-    import matplotlib.pyplot as plt
-
     names = found.question.names
     draws = {name: np.exp(z).ravel() for name, z in found.draws.items()}
     size = 1.0 + 1.9 * len(names)
-    figure, axes = plt.subplots(
-        len(names), len(names), figsize=(size, size), layout="constrained", squeeze=False
-    )
+    axes = drawing.grid(len(names), len(names), (size, size))
     for i, below in enumerate(names):
         for j, along in enumerate(names):
             ax = axes[i, j]
@@ -78,7 +74,7 @@ def draw_corner(found):
                 ax.axis("off")
                 continue
             if i == j:
-                ax.hist(draws[along], bins=BINS, density=True, color="C0", alpha=0.6)
+                ax.hist(draws[along], bins=BINS, density=True, color=drawing.COLOURS[0], alpha=0.6)
                 ax.set_yticks([])
             else:
                 ax.hist2d(draws[along], draws[below], bins=BINS, cmap="Blues")

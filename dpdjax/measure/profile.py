@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dpdjax.drawing import axes
+from dpdjax.drawing import COLOURS, axes
 from dpdjax.engine.batching import chosen
 from dpdjax.engine.trajectory import Trajectory
 from dpdjax.measure import needs
@@ -60,8 +60,8 @@ class VelocityProfile(Result):
         ax = axes(ax)
         hot = ax.twinx()
         parts = [
-            (ax, self.velocity, self.velocity_error, "C0", "velocity $v_x$ [length/time]"),
-            (hot, self.temperature, self.temperature_error, "C1", "temperature [energy]"),
+            (ax, self.velocity, self.velocity_error, COLOURS[0], "velocity $v_x$ [length/time]"),
+            (hot, self.temperature, self.temperature_error, COLOURS[3], "temperature [energy]"),
         ]
         for own, values, error, colour, label in parts:
             style = {"fmt": "o", "ms": 4, "lw": 1, "capsize": 2, "color": colour}

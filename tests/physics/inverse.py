@@ -17,7 +17,7 @@ import numpy as np
 from rooms import HERE, measure, row
 
 import dpdjax as dpd
-from dpdjax.measure.statistics import Estimate, from_replicas
+from dpdjax.measure.statistics import Estimate
 from dpdjax.surrogate import atlas
 
 sys.path.insert(0, str(HERE.parent / "atlas"))
@@ -125,9 +125,8 @@ def designed():
     main = json.loads((HERE / "results.json").read_text())["main_job"]["rows"]
     mean = next(r for r in main if r["quantity"].endswith("mean") and "gamma" in r["quantity"])
     calibrated = Estimate(*mean["value"])
-    return [
-        row("gamma of viscosity 1.1", "a 2.5, kT 0.1", told.gamma, calibrated, "12 calibrations")
-    ]
+    where, source = "a 2.5, kT 0.1", "12 calibrations"
+    return [row("gamma of viscosity 1.1", where, told.gamma, calibrated, source)]
 
 
 def hidden_truths():
@@ -137,45 +136,45 @@ def hidden_truths():
     The truths are the fresh states of other exponents than 2, what is given are their measured
     numbers with noise to one per cent. Density and repulsion are known.
     """
-    rows = fresh()
-    rows = rows[rows["s"] < 2.0][:20]
-    noise, inside, each = np.random.default_rng(5), {name: [] for name in ("gamma", "s")}, []
-    spent = []
-    for k, state in enumerate(rows):
-        data = {}
-        for name in ("viscosity", "diffusion"):
-            missing = math.sqrt(max(0.01**2 - (state[f"{name}_error"] / state[name]) ** 2, 0.0))
-            value = float(state[name] * (1 + missing * noise.normal()))
-            data[name] = (value, 0.01 * value)
-        fluid = dpd.fluid(
-            [dpd.term(dpd.soft_repulsion, a=state["a"], r_c=1.0)],
-            [dpd.term(dpd.laws.power_drag, gamma=state["gamma"], s=1.0, r_c=1.0)],
-            kT=1.0,
+    truths, noise = fresh(), np.random.default_rng(5)
+    truths = truths[truths["s"] < 2.0][:20]
+    found = [posterior(truth, jax.random.fold_in(KEY, k), noise) for k, truth in enumerate(truths)]
+    where = f"{len(truths)} truths"
+    rows = []
+    for name in ("gamma", "s"):
+        for share in (0.68, 0.95):
+            ends = [fit.interval(name, share) for fit in found]
+            count = sum(low <= truth[name] <= high for truth, (low, high) in zip(truths, ends))
+            told = f"{count} of {len(truths)}"
+            quantity = f"{name}, within {share:.0%}"
+            rows.append(row(quantity, where, count / len(truths), share, "exact", told))
+    for truth, fit in zip(truths, found):
+        told = ", ".join(
+            f"{name} {fit.estimates[name]} of {truth[name]:.4g}" for name in fit.estimates
         )
-        side = (1500 / state["density"]) ** (1 / 3)
-        model = dpd.experiments.Solvent(fluid=fluid, density=state["density"], box=side)
-        scale = float(state["gamma"])
-        priors = {"gamma": (0.2 * scale, 5.0 * scale), "s": (0.25, 2.0)}
-        found = dpd.fit(
-            model, data, priors, key=jax.random.fold_in(KEY, k), checks=1, progress=False
-        )
-        spent.append(found.particle_steps)
-        for name in inside:
-            intervals = [found.interval(name, share) for share in (0.68, 0.95)]
-            inside[name].append([low <= state[name] <= high for low, high in intervals])
-        estimates = ", ".join(f"{n} {found.estimates[n]} of {state[n]:.4g}" for n in inside)
-        each.append(row(f"truth {k + 1}", f"density {state['density']:g}, a {state['a']:g}",
-                        found.particle_steps, 3e9, "particle-steps at most", estimates))  # fmt: skip
-    shares = []
-    for name, truths in inside.items():
-        for k, (expected, told) in enumerate(((0.68, "68 %"), (0.95, "95 %"))):
-            count = int(np.sum(np.array(truths)[:, k]))
-            shares.append(
-                row(f"{name} within {told}", f"{len(rows)} truths", count / len(rows), expected,
-                    "exact", f"{count} of {len(rows)}")
-            )  # fmt: skip
-    cost = from_replicas(spent)
-    return [*shares, row("particle-steps of a fit", f"{len(rows)} truths", cost.value), *each]
+        state = f"density {truth['density']:g}, a {truth['a']:g}"
+        rows.append(row("particle-steps", state, fit.particle_steps, 3e9, "at most", told))
+    return rows
+
+
+def posterior(truth, key, noise):
+    """That of gamma and s, from numbers of a truth with errors of one per cent."""
+    density, a, gamma = (float(truth[name]) for name in ("density", "a", "gamma"))
+    repulsion = dpd.term(dpd.soft_repulsion, a=a, r_c=1.0)
+    drag = dpd.term(dpd.laws.power_drag, gamma=gamma, s=1.0, r_c=1.0)
+    side = (1500 / density) ** (1 / 3)
+    fluid = dpd.fluid([repulsion], [drag], kT=1.0)
+    model = dpd.experiments.Solvent(fluid=fluid, density=density, box=side)
+    data = {name: with_noise(truth, name, noise) for name in ("viscosity", "diffusion")}
+    priors = {"gamma": (0.2 * gamma, 5.0 * gamma), "s": (0.25, 2.0)}
+    return dpd.fit(model, data, priors, key=key, checks=1, progress=False)
+
+
+def with_noise(truth, name: str, noise, relative: float = 0.01) -> Estimate:
+    """A measured number with so much noise that its error is the relative one."""
+    value, error = float(truth[name]), float(truth[f"{name}_error"])
+    missing = math.sqrt(max((relative * value) ** 2 - error**2, 0.0))
+    return Estimate(value + missing * noise.normal(), relative * value)
 
 
 ROOMS = (fresh_states, lammps_states, published_states, designed, hidden_truths)
