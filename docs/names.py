@@ -60,10 +60,10 @@ def parsed(directive, lines) -> list:
 
 class Commands(Directive):
     def run(self):
-        from dpdjax.cli import _parser
+        from dpdjax.cli import parser as of_all
 
         os.environ["COLUMNS"] = "96"
-        parser = _parser()
+        parser = of_all()
         choices = next(
             a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction)
         )

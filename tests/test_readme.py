@@ -47,9 +47,9 @@ def test_commands_are_one_line_each():
 def test_main_job_parses():
     """The options of the README's main job are those of the command line."""
     words = re.search(r"dpdjax (calibrate [^\n]*)", README).group(1).split()
-    from dpdjax.cli import _parser
+    from dpdjax.cli import parser
 
-    arguments = _parser().parse_args(words)
+    arguments = parser().parse_args(words)
     assert (arguments.viscosity, arguments.kT, arguments.repulsion) == (1.1, 0.1, 2.5)
 
 
@@ -69,9 +69,7 @@ def test_links_lead_somewhere(link):
 
 
 def test_help_is_quick_to_import():
-    code = (
-        "import sys\nfrom dpdjax.cli import _parser\n_parser().format_help()\nprint(*sys.modules)"
-    )
+    code = "import sys\nfrom dpdjax.cli import parser\nparser().format_help()\nprint(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
