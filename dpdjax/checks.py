@@ -85,7 +85,9 @@ def plain(value, name: str, check=number) -> float:
     """:func:`one`, known now, as a number of Python."""
     if not is_concrete(value):
         raise TypeError(f"{name} is being traced by jit, vmap or grad; it must be known")
-    return float(one(value, name, check))
+    # Inside of jit known numbers would be traced too.
+    with jax.ensure_compile_time_eval():
+        return float(one(value, name, check))
 
 
 def whole(value, name: str, least: int = 1, most: int = 2**53) -> int:

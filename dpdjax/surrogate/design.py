@@ -1,7 +1,6 @@
 """Fluids of wanted properties: the atlas read backwards."""
 
 import dataclasses
-import functools
 import itertools
 import math
 
@@ -14,33 +13,18 @@ from dpdjax.errors import TargetError
 from dpdjax.measure.statistics import Estimate
 from dpdjax.model.fluid import Fluid
 from dpdjax.model.summary import as_table
-from dpdjax.model.units import FORMAL, Units
+from dpdjax.model.units import BOLTZMANN, FORMAL, NOTES, Units
 from dpdjax.surrogate.atlas import (
-    NAMES,
     QUANTITIES,
     SOFT,
     Properties,
-    Table,
     properties,
     refuse_outside,
 )
-from dpdjax.surrogate.reduced import QUADRATIC, Reduced, scale_of, strength
+from dpdjax.surrogate.reduced import QUADRATIC, Reduced, scale_of
+from dpdjax.surrogate.search import KNOBS, PLACES, PRODUCT, Search, knobs_for
 
-KNOBS = ("gamma", "exponent", "repulsion")
-"""What may be found, in the order in which it is."""
-PLACES = {"repulsion": 1, "gamma": 2, "exponent": 3}
-"""Of them among the numbers of a state."""
-PRODUCT = "viscosity times diffusion"
-"""What is wanted of both where the unit of time is to be found: there is none in it."""
-WANTS = {
-    "viscosity": ("gamma", "exponent", "repulsion"),
-    "diffusion": ("gamma", "exponent", "repulsion"),
-    "schmidt": ("gamma", "exponent", "repulsion"),
-    PRODUCT: ("repulsion", "gamma", "exponent"),
-    "pressure": ("repulsion",),
-    "compressibility": ("repulsion",),
-}
-"""What may be wanted, and which knobs it turns."""
+NEAR = "Some of these are not apart by their errors: what lies between may do as well."
 SI = {
     "viscosity": "Pa s",
     "diffusion": "m^2/s",
@@ -50,10 +34,6 @@ SI = {
 }
 REPULSION, FRICTION = 25.0, 4.5
 """Where they are neither given nor found, in kT over reach, and in thermal units."""
-POINTS = {1: 400, 2: 64, 3: 26}
-"""Of a grid along each knob, by how many are found."""
-ROUNDS, CLOSE, SAME = 30, 1e-9, 1e-3
-"""Steps to a root, how near it is a root, and how near each other two are one."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -102,18 +82,26 @@ class Branch:
     def _units(self) -> list[tuple[str, str]]:
         if self.units is None:
             return []
-        each = [("length", "m"), ("mass", "kg"), ("time", "s")]
-        return [
-            (f"unit of {name}", f"{getattr(self.units, name):.4g} {unit}") for name, unit in each
-        ]
+        formal = "kg, formal" if self.units.note == FORMAL else "kg"
+        each = [("length", "m"), ("mass", formal), ("time", "s")]
+        told = [(f"unit of {n}", f"{getattr(self.units, n):.4g} {unit}") for n, unit in each]
+        temperature = float(self.fluid.kT) * self.units.energy / BOLTZMANN
+        return [*told, ("temperature", f"{temperature:.4g} K")]
 
     def told(self) -> dict:
         """All numbers, as what JSON holds; those with errors as pairs."""
         pair = lambda value: [value.value, value.error]
         found = {name: pair(getattr(self, name)) for name in KNOBS}
         found |= {name: pair(getattr(self.properties, name)) for name in QUANTITIES}
-        more = {"density": self.density, "kT": float(self.fluid.kT), "dt": self.dt}
-        more |= {"integrator": type(self.integrator).__name__}
+        (drag,) = self.fluid.interactions[0].drag
+        more = {
+            "density": self.density,
+            "kT": float(self.fluid.kT),
+            "mass": float(np.ravel(self.fluid.mass)[0]),
+            "r_c": float(drag.coefficients["r_c"]),
+            "dt": self.dt,
+            "integrator": type(self.integrator).__name__,
+        }
         if self.units is not None:
             more["units"] = {n: getattr(self.units, n) for n in ("length", "mass", "time")}
         return found | more
@@ -152,9 +140,21 @@ class Design:
         return {"wanted": self.wanted, "branches": [branch.told() for branch in self.branches]}
 
     def __str__(self):
-        wanted = ", ".join(f"{name} {value:.6g}" for name, value in self.wanted.items())
+        unit = lambda name: "" if self.branches[0].units is None else f" {SI[name]}".rstrip()
+        wanted = ", ".join(f"{name} {x:.6g}{unit(name)}" for name, x in self.wanted.items())
         count = f"{len(self)} fluid{'s' if len(self) > 1 else ''}"
-        return "\n\n".join([f"{count} of {wanted}", *map(str, self.branches)])
+        near = [NEAR] if self._are_near else []
+        return "\n\n".join([f"{count} of {wanted}", *map(str, self.branches), *near])
+
+    @property
+    def _are_near(self) -> bool:
+        """Whether some branches are one within the errors of what was found."""
+        near = lambda one, other: all(
+            getattr(one, name).deviation(getattr(other, name)) < 2.0
+            for name in KNOBS
+            if getattr(one, name).error > 0
+        )
+        return any(near(*pair) for pair in itertools.pairwise(self.branches))
 
     __repr__ = __str__
 
@@ -200,8 +200,8 @@ def design(
         gamma: friction of ``gamma (1 - r/r_c)^exponent`` [mass/time].
         exponent: of the weight of the drag.
         repulsion: ``a`` of the force ``a (1 - r/r_c)`` [energy/length].
-        units: with them the wanted numbers are in SI, such as :func:`dpdjax.water_units`; what else
-            is given stays in units of the fluid.
+        units: with them the wanted numbers are in SI, such as :func:`dpdjax.water_units` of the
+            same ``kT`` and ``density``; what else is given stays in units of the fluid.
         find_time: take the length and the energy of ``units`` and find the time, for a viscosity
             and a diffusion together: what the fluid has to have is their product, and a unit of
             time then makes both right. The unit of mass follows, and is formal.
@@ -212,7 +212,8 @@ def design(
 
     Example:
         >>> found = dpd.design(viscosity=1.1, kT=0.1, repulsion=2.5)
-        >>> found[0].gamma  # doctest: +SKIP
+        >>> found[0].gamma.value / found[0].gamma.error > 20
+        True
         >>> fluid, dt = found.fluid, found[0].dt
         >>> liquid = dpd.water_units(molecules=1.0, temperature=298.0)
         >>> in_si = dpd.design(viscosity=0.9e-3, diffusion=2.3e-9, units=liquid, find_time=True)
@@ -222,6 +223,8 @@ def design(
         pressure=pressure, compressibility=compressibility,
     )  # fmt: skip
     asked = _asked(asked)
+    if units is not None and not isinstance(units, Units):
+        raise TypeError(f"units is {units!r}; give dpd.water_units(...) or dpd.Units(...)")
     wanted = _wanted(asked, units, find_time)
     kT, mass = _exact(kT, "kT", positive), _exact(mass, "mass", positive)
     r_c = _exact(r_c, "r_c", positive)
@@ -233,11 +236,11 @@ def design(
     for name, value in given.items():
         state[PLACES[name]] = value
     goals = {name: value / _scale(name, thermal) for name, value in wanted.items()}
-    search = _Search(state, _knobs(wanted, given), goals)
-    refuse_outside(Reduced(*state), [NAMES[PLACES[knob]] for knob in search.knobs])
+    search = Search(state, knobs_for(wanted, given), goals)
+    refuse_outside(Reduced(*state), search.besides)
     roots = search.roots()
     if not roots:
-        raise TargetError(search.unreached(thermal, units), ())
+        raise TargetError(_unreached(search, thermal, units, find_time), ())
     found = [_branch(root, search, thermal) for root in roots]
     if units is not None:
         found = [_in_si(branch, asked, units, find_time) for branch in found]
@@ -269,10 +272,12 @@ def _without_time(asked: dict, units: Units | None) -> dict[str, float]:
     """What is wanted, with the product of viscosity and diffusion in place of both."""
     if units is None:
         raise ValueError("find_time finds a unit of time in seconds; give units too")
+    if units.note == NOTES["viscosity_mass"]:
+        raise ValueError("find_time takes the energy of units for that of heat, and theirs is not")
     if not {"viscosity", "diffusion"} <= set(asked) or "schmidt" in asked:
         raise ValueError(
-            "find_time is for a viscosity and a diffusion, and no Schmidt number, whose mass is "
-            f"real; wanted are {', '.join(asked)}"
+            "a unit of time is found for a viscosity and a diffusion together, and no Schmidt "
+            f"number, whose mass is real; wanted are {', '.join(asked)}"
         )
     rest = {n: v for n, v in asked.items() if n not in ("viscosity", "diffusion")}
     return {PRODUCT: asked["viscosity"] * asked["diffusion"]} | rest
@@ -292,6 +297,29 @@ def _in_si(branch: "Branch", asked: dict, units: Units, find_time: bool) -> "Bra
     return dataclasses.replace(branch, units=units)
 
 
+def _unreached(search: Search, thermal: Units, units: Units | None, find_time: bool) -> str:
+    """What can be reached instead, in words and in the units in which it was asked."""
+    scale = lambda n: _scale(n, thermal) * (1.0 if units is None else _scale(n, units))
+    told = []
+    for name, (low, high, with_others) in search.reach().items():
+        low, high = low * scale(name), high * scale(name)
+        is_point = high < 1.05 * low
+        ends = (
+            f"is near {math.sqrt(low * high):.3g}"
+            if is_point
+            else f"goes from {low:.4g} to {high:.4g}"
+        )
+        told.append(f"{name} {ends}{' where the rest is as wanted' if with_others else ''}")
+    others = [name for name in KNOBS if name not in search.knobs]
+    if units is not None and not find_time and {"viscosity", "diffusion"} <= set(search.goals):
+        others.append("find_time=True, which leaves the unit of time open,")
+    wanted = ", ".join(f"{n} {v * scale(n):.4g}" for n, v in search.goals.items())
+    return (
+        f"no fluid of the atlas has {wanted} by {' and '.join(search.knobs)}: {'; '.join(told)}; "
+        f"give another {', '.join(others)} or density"
+    )
+
+
 def _given(knobs: dict, thermal: Units) -> dict[str, float]:
     """Numbers that are given, in thermal units."""
     kinds = {"gamma": positive, "exponent": positive, "repulsion": not_negative}
@@ -303,166 +331,15 @@ def _given(knobs: dict, thermal: Units) -> dict[str, float]:
     }
 
 
-def _knobs(wanted: dict, given: dict) -> tuple[str, ...]:
-    """What is to be found for what is wanted; ValueError where there is nothing left to find."""
-    found: list[str] = []
-    # Those that turn one knob alone come first.
-    for name in sorted(wanted, key=lambda name: len(WANTS[name])):
-        left = [knob for knob in WANTS[name] if knob not in given and knob not in found]
-        if not left:
-            raise ValueError(
-                f"nothing is left that {name} could be reached by: it turns "
-                f"{', '.join(WANTS[name])}, and given or used already are "
-                f"{', '.join([*given, *found])}; leave one out"
-            )
-        found.append(left[0])
-    return tuple(found)
-
-
-@dataclasses.dataclass
-class _Search:
-    """A search for states.
-
-    Attributes:
-        state: density, repulsion, friction, exponent in thermal units, of what is not found.
-        knobs: names of what is found.
-        goals: wanted numbers in thermal units.
-    """
-
-    state: np.ndarray
-    knobs: tuple[str, ...]
-    goals: dict[str, float]
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """Of the coordinates of what is found (2, knobs)."""
-        ends = np.array([_coordinate(Table.shipped().bounds[:, PLACES[k]], k) for k in self.knobs])
-        return ends.T
-
-    def numbers(self, x) -> np.ndarray:
-        """States (n, 4) of coordinates (n, knobs)."""
-        x = np.atleast_2d(x)
-        states = np.repeat(self.state[None], len(x), axis=0)
-        for k, knob in enumerate(self.knobs):
-            states[:, PLACES[knob]] = _number(x[:, k], knob)
-        if "gamma" in self.knobs:
-            # The coordinate is that of a friction that damps as much at exponent 2.
-            states[:, 2] *= states[:, 2] / strength(states)
-        return states
-
-    def values(self, x) -> dict[str, np.ndarray]:
-        """The quantities that are wanted, in thermal units, at coordinates (n, knobs)."""
-        found = Table.shipped().values(self.numbers(x))
-        found[PRODUCT] = found["viscosity"] * found["diffusion"]
-        return {name: found[name] for name in self.goals}
-
-    def residuals(self, x) -> np.ndarray:
-        """Logarithms of what is there over what is wanted (n, goals)."""
-        values = self.values(x)
-        return np.stack([np.log(values[n] / goal) for n, goal in self.goals.items()], axis=1)
-
-    @functools.cached_property
-    def grid(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """Coordinates along each knob, and residuals at all their products (..., goals)."""
-        along = [np.linspace(a, b, POINTS[len(self.knobs)]) for a, b in self.bounds.T]
-        places = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
-        found = self.residuals(places.reshape(-1, len(along)))
-        return along, found.reshape(*places.shape[:-1], -1)
-
-    def roots(self) -> list[np.ndarray]:
-        """Coordinates at which everything is as wanted."""
-        along, residuals = self.grid
-        inside = _changes_sign(residuals)
-        starts = [[0.5 * (x[k] + x[k + 1]) for x, k in zip(along, c)] for c in np.argwhere(inside)]
-        found: list[np.ndarray] = []
-        for start in starts:
-            root = self._root(np.array(start))
-            if root is not None and all(np.max(np.abs(root - r)) > SAME for r in found):
-                found.append(root)
-        return found
-
-    def jacobian(self, x, step: float = 1e-5) -> np.ndarray:
-        """Slopes of the residuals (goals, knobs)."""
-        steps = step * np.eye(len(x))
-        up, down = self.residuals(x + steps), self.residuals(x - steps)
-        return (up - down).T / (2 * step)
-
-    def _root(self, x) -> np.ndarray | None:
-        """The root that Newton's method leads to from ``x``; None where it leads out."""
-        low, high = self.bounds
-        width = (high - low) / POINTS[len(self.knobs)]
-        for _ in range(ROUNDS):
-            residual = self.residuals(x)[0]
-            if np.max(np.abs(residual)) < CLOSE:
-                return x
-            step = np.linalg.lstsq(self.jacobian(x), -residual, rcond=None)[0]
-            x = np.clip(x + np.clip(step, -width, width), low, high)
-        return None
-
-    def unreached(self, thermal: Units, units: Units | None) -> str:
-        """What can be reached instead, in words and in the units in which it was asked."""
-        _, residuals = self.grid
-        scale = lambda n: _scale(n, thermal) * (1.0 if units is None else _scale(n, units))
-        told = []
-        for k, (name, goal) in enumerate(self.goals.items()):
-            others = np.delete(residuals, k, axis=-1)
-            with_others = _changes_sign(others) if others.shape[-1] else None
-            told.append(_reach(name, residuals[..., k], goal * scale(name), with_others))
-        wanted = ", ".join(f"{n} {v * scale(n):.4g}" for n, v in self.goals.items())
-        return (
-            f"no fluid of the atlas has {wanted} by {' and '.join(self.knobs)}: "
-            f"{'; '.join(told)}; give another density, kT, exponent or repulsion"
-        )
-
-
-def _reach(name: str, residuals, goal: float, with_others) -> str:
-    """What values there are of a number, where the others are as wanted if that can be."""
-    if with_others is None or not with_others.any():
-        chosen, where = residuals, ""
-    else:
-        corners = residuals[tuple(slice(0, -1) for _ in range(residuals.ndim))]
-        chosen, where = corners[with_others], " where the rest is as wanted"
-    low, high = goal * np.exp([chosen.min(), chosen.max()])
-    return f"{name} goes from {low:.4g} to {high:.4g}{where}"
-
-
-def _changes_sign(residuals) -> np.ndarray:
-    """Cells of a grid (..., goals) within which every residual is zero somewhere."""
-    axes = residuals.ndim - 1
-    ends = [
-        residuals[tuple(slice(k, -1 if k == 0 else None) for k in corner)]
-        for corner in itertools.product((0, 1), repeat=axes)
-    ]
-    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-    return np.all((low <= 0) & (high >= 0), axis=-1)
-
-
-def _coordinate(number, knob: str):
-    """A knob in coordinates in which grids are even."""
-    return np.log1p(number / SOFT) if knob == "repulsion" else np.log(number)
-
-
-def _number(coordinate, knob: str):
-    return SOFT * np.expm1(coordinate) if knob == "repulsion" else np.exp(coordinate)
-
-
-def _branch(x, search: _Search, thermal: Units) -> Branch:
+def _branch(x, search: Search, thermal: Units) -> Branch:
     """The fluid of a root."""
-    numbers = search.numbers(x)
-    state = Reduced(*numbers[0], units=thermal)
-    found = Table.shipped().at(numbers)
-    # Of a product and of a ratio errors are the same.
-    relative = np.array([found["schmidt" if n == PRODUCT else n][1][0] for n in search.goals])
-    inverse = np.linalg.pinv(search.jacobian(x))
-    errors = dict(zip(search.knobs, np.sqrt(inverse**2 @ relative**2)))
+    state = Reduced(*search.numbers(x)[0], units=thermal)
     own = {"gamma": state.gamma, "exponent": state.exponent, "repulsion": state.a}
-    shares = {"gamma": state.gamma, "exponent": state.exponent}
-    shares["repulsion"] = state.a + SOFT * thermal.scale("force")
-    told = {
-        name: Estimate(float(own[name]), float(shares[name] * errors.get(name, 0.0)))
-        for name in KNOBS
-    }
-    density = state.density / thermal.length**3
+    # Errors are of logarithms; that of a repulsion is of the logarithm with SOFT added.
+    shares = own | {"repulsion": state.a + SOFT * thermal.scale("force")}
+    errors = dict(zip(search.knobs, search.errors(x)))
+    told = {n: Estimate(float(own[n]), float(shares[n] * errors.get(n, 0.0))) for n in KNOBS}
+    density = float(state.density) / thermal.length**3
     how, dt = suited(state.fluid, density)
     return Branch(
         **told,

@@ -52,8 +52,6 @@ def is_of_atlas(fluid: Fluid, density: float) -> bool:
 
 def reduced_of(fluid: Fluid, density: float) -> Reduced | None:
     """A fluid in thermal units; None of a kind that the atlas is not of."""
-    if not Table.is_shipped():
-        return None
     try:
         return Reduced.of(fluid, density)
     except (ValueError, TypeError):
@@ -147,7 +145,8 @@ class Foresights:
         if not (is_of_atlas(self.fluid, self.density) and set(self.parameters) <= set(ALONG)):
             return None
         along = Along(Reduced.of(self.fluid, self.density), self.parameters)
-        present = np.log([float(self.fluid.value(name)) for name in self.parameters])
+        present = [float(self.fluid.value(name)) for name in self.parameters]
+        present = np.log([value or 1.0 for value in present])
         wanted = np.log([targets[name] for name in self.quantities])
         starts = present + STARTS * np.random.default_rng(0).standard_normal((TRIES, len(present)))
         found = [self._solved(along, wanted, start, bounds) for start in (present, *starts)]

@@ -9,9 +9,11 @@ import math
 
 import numpy as np
 
+from dpdjax.checks import is_concrete
+from dpdjax.model.declare import CENTRAL
 from dpdjax.model.fluid import Fluid, fluid
 from dpdjax.model.laws import central_drag, power_drag, soft_repulsion
-from dpdjax.model.term import term
+from dpdjax.model.term import Term, term
 from dpdjax.model.units import Units
 
 WHAT = (
@@ -93,8 +95,14 @@ class Reduced:
 
 def _laws(matter: Fluid):
     """Repulsion, None where there is none, and drag."""
+    if not isinstance(matter, Fluid):
+        raise TypeError(
+            f"the fluid is a {type(matter).__name__}; give dpd.water() or dpd.fluid(...)"
+        )
     if len(matter.interactions) != 1 or matter.species != 1 or matter.has_radii:
         raise ValueError(f"the fluid has colloids, groups or species; {WHAT}")
+    if matter.bonded:
+        raise ValueError(f"the fluid has bonds; {WHAT}")
     (among,) = matter.interactions
     laws = [t.law for t in among.conservative], [t.law for t in among.drag]
     if (
@@ -104,10 +112,25 @@ def _laws(matter: Fluid):
     ):
         names = ", ".join(dict.fromkeys(law.__name__ for law in laws[0] + laws[1])) or "no drag"
         raise ValueError(f"the fluid has {names}; {WHAT}")
+    for one in among.terms:
+        _refuse_changed(one)
     return (among.conservative or (None,))[0], among.drag[0]
 
 
+def _refuse_changed(one: Term):
+    """ValueError for a term that is cut before its end, or acts across the line of centres."""
+    name = one.law.__name__
+    if one.projector != CENTRAL:
+        raise ValueError(f"the {name} of the fluid has projector={one.projector!r}; {WHAT}")
+    r_c = _plain(one.coefficients["r_c"], "r_c")
+    cut = r_c if one.cut is None else _plain(one.cut, "reach")
+    if cut != r_c:
+        raise ValueError(f"the {name} of the fluid has reach={cut:g} and r_c={r_c:g}; {WHAT}")
+
+
 def _plain(value, name: str) -> float:
+    if not is_concrete(value):
+        raise TypeError(f"{name} is being traced by jit, vmap or grad; the atlas needs to know it")
     value = np.asarray(value, float)
     if value.size != 1:
         raise ValueError(f"{name} is an array of shape {value.shape}; the atlas is asked of one")

@@ -161,6 +161,10 @@ def test_design_of_a_liquid_in_si(capsys):
     wanted = ["--viscosity", 0.89e-3, "--diffusion", 2.3e-9]
     status, out, _ = said(capsys, "design", *wanted, "--celsius", 25, "--molecules", 1)
     assert status == 0 and "Pa s" in out and "unit of time" in out
+    alone = said(capsys, "design", "--viscosity", 0.89e-3, "--celsius", 25)
+    assert alone[0] == 2 and "give --viscosity and --diffusion together" in alone[2]
+    loose = said(capsys, "design", "--viscosity", 1.0, "--molecules", 3)
+    assert loose[0] == 2 and "give --celsius too" in loose[2]
     status, _, said_ = said(capsys, "design", "--viscosity", 1e3)
     assert status == 2 and "viscosity goes from" in said_
 

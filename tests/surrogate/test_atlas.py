@@ -2,12 +2,14 @@
 
 import math
 
+import jax
 import numpy as np
 import pytest
 
 import dpdjax as dpd
 from dpdjax.surrogate import reduced
 from dpdjax.surrogate.atlas import AXES, NAMES, QUANTITIES, Table, features, ranges
+from dpdjax.surrogate.foresight import foretold
 from dpdjax.surrogate.reduced import Reduced
 
 STATES = np.array([[3.0, 25.0, 4.5, 2.0], [5.0, 5.0, 80.0, 2.0], [2.6, 90.0, 2.0, 2.0]])
@@ -128,7 +130,7 @@ def test_all_of_it_is_finite(quantity):
         (dict(a=120.0), "a r_c/kT is 120"),
         (dict(gamma=0.5), "gamma r_c/sqrt(m kT) is 0.5"),
         (dict(gamma=500.0), "gamma r_c/sqrt(m kT) is 500"),
-        (dict(s=3.0), "s is 3"),
+        (dict(s=3.0), "exponent is 3"),
         (dict(a=50.0, kT=0.1), "a r_c/kT is 500"),
     ],
     ids=str,
@@ -156,6 +158,37 @@ def test_of_other_fluids_it_says_what_it_is_of():
     )
     with pytest.raises(ValueError, match="reaches to 1"):
         dpd.atlas(other, 3.0)
+
+
+DRAG, SOFT = dpd.central_drag, dpd.soft_repulsion
+
+
+@pytest.mark.parametrize(
+    "changed, told",
+    [
+        (dict(drag=[dpd.term(DRAG, gamma=4.5, r_c=1.0, projector="full")]), "projector='full'"),
+        (dict(conservative=[dpd.term(SOFT, a=25.0, r_c=1.0, reach=0.5)]), "reach=0.5"),
+        (dict(bonds=dpd.term(dpd.laws.harmonic_bond, k=100.0, r0=0.5)), "has bonds"),
+        (dict(drag=[dpd.term(dpd.laws.transverse_drag, gamma_t=4.5, r_c=1.0)]), "transverse_drag"),
+    ],
+    ids=["across", "cut", "bonds", "transverse"],
+)
+def test_a_fluid_that_only_looks_like_it_is_refused(changed, told):
+    terms = dict(
+        conservative=[dpd.term(SOFT, a=25.0, r_c=1.0)],
+        drag=[dpd.term(DRAG, gamma=4.5, r_c=1.0)],
+    )
+    other = dpd.fluid(**(terms | changed), kT=1.0)
+    with pytest.raises(ValueError, match=told):
+        dpd.atlas(other, 3.0)
+    assert foretold(other, 3.0, "viscosity") is None
+
+
+def test_no_fluid_and_no_number():
+    with pytest.raises(TypeError, match="the fluid is a float"):
+        dpd.atlas(3.0, 3.0)
+    with pytest.raises(TypeError, match="is being traced"):
+        jax.jit(lambda gamma: dpd.atlas(dpd.water(gamma=gamma), 3.0).viscosity.value)(4.5)
 
 
 def test_ranges_of_frictions_follow_the_exponent():

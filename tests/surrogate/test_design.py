@@ -1,5 +1,6 @@
 """Designs: truths come back, all branches, ranges of what cannot be, SI units."""
 
+import dataclasses
 import itertools
 import json
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 import dpdjax as dpd
-from dpdjax.surrogate.atlas import QUANTITIES
+from dpdjax.surrogate.atlas import NAMES, QUANTITIES, Table, ranges
 
 
 def has(branch, name: str, value: float, rel=1e-6):
@@ -56,7 +57,10 @@ def test_errors_are_those_of_the_value_over_the_slope():
         (dict(viscosity=1e-3), "viscosity goes from"),
         (dict(viscosity=50.0), "viscosity goes from"),
         (dict(pressure=1.0), "pressure goes from"),
-        (dict(viscosity=0.9, diffusion=5.0), "where the rest is as wanted"),
+        (
+            dict(viscosity=0.9, diffusion=5.0),
+            "give another exponent or density|diffusion goes from",
+        ),
         (dict(viscosity=0.9, schmidt=400.0, exponent=2.0), "schmidt goes from"),
     ],
     ids=str,
@@ -83,6 +87,7 @@ def test_ends_that_are_told_can_be_reached():
         (dict(viscosity=1.0, density=20.0), "density r_c\\^3 is 20"),
         (dict(viscosity=1.0, repulsion=2500.0), "a r_c/kT is 2500"),
         (dict(viscosity=1.0, diffusion=0.3, find_time=True), "give units too"),
+        (dict(viscosity=1.0, diffusion=0.3, schmidt=1.1), "any two of them make the third"),
     ],
     ids=str,
 )
@@ -122,3 +127,76 @@ def test_what_comes_back_runs_and_prints():
     assert branch.dt == pytest.approx(
         dpd.suggest_dt(branch.fluid, branch.density, integrator=branch.integrator)
     )
+
+
+def test_units_that_cannot_be():
+    with pytest.raises(TypeError, match="units is 'SI'"):
+        dpd.design(viscosity=1.0, units="SI")
+    odd = dpd.water_units("viscosity_mass")
+    with pytest.raises(ValueError, match="takes the energy of units for that of heat"):
+        dpd.design(viscosity=0.9e-3, diffusion=2e-9, units=odd, find_time=True)
+
+
+def test_the_same_asked_in_three_ways_has_the_same_errors():
+    """Two of viscosity, diffusion and Schmidt number tell the third, errors and all."""
+    told = dpd.atlas(dpd.water(a=40.0, gamma=30.0), 3.0)
+    asked = {name: getattr(told, name).value for name in ("viscosity", "diffusion", "schmidt")}
+    pairs = itertools.combinations(asked, 2)
+    found = [
+        min(
+            dpd.design(**{n: asked[n] for n in pair}, exponent=2.0),
+            key=lambda branch: abs(branch.gamma.value - 30.0),
+        )
+        for pair in pairs
+    ]
+    for one in found[1:]:
+        for name in ("gamma", "repulsion"):
+            value, other = getattr(one, name), getattr(found[0], name)
+            assert value.value == pytest.approx(other.value, rel=1e-4)
+            assert value.error == pytest.approx(other.error, rel=0.01)
+
+
+def wide(monkeypatch):
+    """The atlas as it would be with exponents from 0.5 to 2, by theory alone."""
+    table = Table.shipped()
+    states = table.states.copy()
+    states[::2, 3] = 0.5
+    wider = dataclasses.replace(table, states=states)
+    monkeypatch.setattr(Table, "shipped", classmethod(lambda cls: wider))
+
+
+def test_what_is_found_with_an_exponent_is_inside(monkeypatch):
+    wide(monkeypatch)
+    low, high = ranges(1.0)[NAMES[2]]
+    for viscosity in (1.5, 3.0, 6.0, 12.0):
+        for gamma in (0.9 * high, 1.1 * low):
+            try:
+                found = dpd.design(viscosity=viscosity, gamma=gamma)
+            except dpd.TargetError:
+                continue
+            for branch in found:
+                has_same = dpd.atlas(branch.fluid, 3.0).viscosity.value
+                assert has_same == pytest.approx(viscosity, rel=1e-5)
+
+
+def test_errors_of_gamma_and_exponent_together(monkeypatch):
+    """By a Jacobian of its own, in gamma and the exponent."""
+    wide(monkeypatch)
+    asked = dpd.atlas(dpd.fluid(
+        [dpd.term(dpd.soft_repulsion, a=25.0, r_c=1.0)],
+        [dpd.term(dpd.laws.power_drag, gamma=20.0, s=1.2, r_c=1.0)], kT=1.0), 3.0)  # fmt: skip
+    wanted = {name: getattr(asked, name).value for name in ("viscosity", "diffusion")}
+    found = dpd.design(**wanted)
+    branch = min(found, key=lambda branch: abs(branch.gamma.value - 20.0))
+    numbers = np.array([[3.0, 25.0, branch.gamma.value, branch.exponent.value]])
+    step = 1e-4
+    logarithms = lambda factors: np.log(
+        [Table.shipped().values(numbers * factors)[name][0] for name in wanted]
+    )
+    ends = [[np.exp(step * sign * np.eye(4)[k]) for sign in (1, -1)] for k in (2, 3)]
+    slopes = np.stack([(logarithms(up) - logarithms(down)) / (2 * step) for up, down in ends], 1)
+    errors = [getattr(asked, name).error / getattr(asked, name).value for name in wanted]
+    own = np.sqrt(np.linalg.inv(slopes) ** 2 @ np.array(errors) ** 2)
+    for name, error in zip(("gamma", "exponent"), own):
+        value = getattr(branch, name)
+        assert value.error == pytest.approx(error * value.value, rel=0.01)
