@@ -154,6 +154,8 @@ class Table:
             here = (*place, replica)
             if self.status[here] == DONE == arrays["status"][there]:
                 _check_agree(self, names, arrays, here, there)
+            elif self.status[here] == DONE:
+                continue  # what failed there was done here
             self.status[here] = arrays["status"][there]
             for name, values in self.texts.items():
                 values[here] = str(arrays[name][there])

@@ -124,6 +124,24 @@ def test_shards_make_one_table(scan, table, tmp_path):
         dpd.merge_scans([])
 
 
+def sometimes(key, x):
+    if "UNLUCKY" in os.environ:
+        raise RuntimeError("no luck")
+    return {"y": dpd.Estimate(2.0 * x, 0.1)}
+
+
+@pytest.mark.filterwarnings("ignore:1 of 1 runs failed")
+@pytest.mark.parametrize("which", [(0, 1), (1, 0)])
+def test_what_failed_in_one_part_and_was_done_in_another_is_done(tmp_path, monkeypatch, which):
+    paths = [tmp_path / "lucky.nc", tmp_path / "unlucky.nc"]
+    for path in paths:
+        key = jax.random.key(0)
+        dpd.scan(sometimes, {"x": [1.0]}, key=key, store=path, progress=False)
+        monkeypatch.setenv("UNLUCKY", "1")
+    merged = dpd.merge_scans([paths[k] for k in which])
+    assert merged.status.values.tolist() == [[1]] and merged.y.values.tolist() == [2.0]
+
+
 def test_interrupted_and_gone_on_with(experiment, scan, table, tmp_path, monkeypatch, capsys):
     """Ctrl-C after two runs: what is done is in the store, and is not done again."""
     genuine, ran, at = drive.Run.alone, [], [7]
