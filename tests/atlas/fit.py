@@ -87,4 +87,5 @@ def made_with() -> dict:
 
 if __name__ == "__main__":
     stores = [HERE / f"{name}.nc" for name in ("quadratic", "exponents")]
-    write(np.concatenate([rows_of(store) for store in stores]).view(np.recarray))
+    there = [rows_of(store) for store in stores if store.exists()]
+    write(np.concatenate(there).view(np.recarray))
