@@ -26,7 +26,7 @@ def draw_calibration(fit, ax=None):
     ax.plot(np.exp(grid), fit.curve(grid), color=COLOURS[0], label="fit of all values and slopes")
     for k, p in enumerate(fit.history):
         near = np.array([p.x - 0.12, p.x + 0.12])
-        label = "slope, by forward differentiation" if k == 0 else None
+        label = "slope" if k == 0 else None
         ax.plot(
             np.exp(near),
             p.value.value + p.slope.value * (near - p.x),
