@@ -22,6 +22,7 @@ PAGES = {
     f"{PHYSICS}/MARBLES.md": ("marbles.py",),
     f"{PHYSICS}/MOLECULES.md": ("molecules.py", "phantom.py", "lammps_melt.py"),
     f"{PHYSICS}/BAROSTAT.md": ("barostat.py",),
+    f"{PHYSICS}/INVERSE.md": ("inverse.py",),
     f"{BENCHMARKS}/README.md": (),
     f"{BENCHMARKS}/PEERS.md": ("peers.py",),
     f"{BENCHMARKS}/SCALING.md": ("scaling.py",),
@@ -44,6 +45,8 @@ TELLING = (
     ("molecules", "molecules.py", "melt", ("pressure", "viscosity", "squared end")),
     ("molecules", "molecules.py", "scaling", ("nu",)),
     ("barostat", "barostat.py", "water_at_a_pressure", ("density", "compressibility")),
+    ("inverse", "inverse.py", "published_states", ("pressure",)),
+    ("inverse", "inverse.py", "designed", ("gamma",)),
 )
 """File, script, room, and how the quantities begin that are shown; those with a reference."""
 

@@ -60,7 +60,7 @@ def deviations(rows) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def fresh_states():
-    """The atlas against fresh states at random in it, half of them at exponent 2.
+    """The atlas against fresh states at random in it, half of them at exponent 2
 
     Off is what was measured less what the atlas has, in the median; an interval is of the combined
     error of both. The viscosities were measured at small shear rates, the atlas has those at none.
@@ -84,24 +84,25 @@ def fresh_states():
 
 
 def lammps_states():
-    """The atlas against LAMMPS at five of the fresh states of exponent 2."""
-    runs = json.loads((HERE / "lammps_atlas.json").read_text())
+    """The atlas against LAMMPS
+
+    Each run of lammps.json, at its rate; the atlas has viscosities at small ones. At rate 0.2 and a
+    step of 0.01 the fluid of (a 0, gamma 5) is 1.4 % hot.
+    """
     found = []
-    for run in runs:
-        state = dpd.water(a=run["repulsion"], gamma=run["gamma"])
-        told = dpd.atlas(state, run["density"])
-        where = f"density {run['density']:g}, a {run['repulsion']:g}, gamma {run['gamma']:g}"
-        rate = f"LAMMPS, rate {run['rate']:g}, dt {run['dt']:g}"
+    for run in json.loads((HERE / "lammps.json").read_text()):
+        numbers = {"a": run["repulsion"], "gamma": run["gamma"], "kT": run["kT"]}
+        told = dpd.atlas(dpd.water(**numbers), run["density"])
+        where = ", ".join(f"{name} {value:g}" for name, value in numbers.items())
         referee = Estimate(run["viscosity"], run["viscosity_error"])
-        found.append(row("viscosity", where, told.viscosity, referee, rate))
-        if "pressure" in run:
-            referee = Estimate(run["pressure"], run["pressure_error"])
-            found.append(row("pressure", where, told.pressure, referee, rate))
+        source = f"LAMMPS, rate {run['rate']:g}, dt {run['dt']:g}"
+        note = f"off by {told.viscosity.value / referee.value - 1:+.1%}"
+        found.append(row("viscosity", where, told.viscosity, referee, source, note))
     return found
 
 
 def published_states():
-    """The atlas against published numbers.
+    """The atlas against published numbers
 
     The viscosity of 1.23 was published without its method; four methods here, and LAMMPS, agree on
     four to five per cent more.
@@ -120,7 +121,7 @@ def published_states():
 
 
 def designed():
-    """Design, at once, against calibrations, which run; the main job of the README."""
+    """A design, at once, against calibrations, which run: the main job of the README"""
     told = dpd.design(viscosity=1.1, kT=0.1, repulsion=2.5)[0]
     main = json.loads((HERE / "results.json").read_text())["main_job"]["rows"]
     mean = next(r for r in main if r["quantity"].endswith("mean") and "gamma" in r["quantity"])
