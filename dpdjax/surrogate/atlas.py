@@ -116,8 +116,15 @@ def properties(state: Reduced) -> Properties:
 
 
 def ranges(exponent: float = reduced.QUADRATIC) -> dict[str, tuple[float, float]]:
-    """What the atlas covers, in thermal units; of frictions at an exponent those that damp as
-    strongly as the ones at 2."""
+    """What the atlas covers: two ends by the name of each number in thermal units.
+
+    Of frictions at an exponent they are those that damp as strongly as the ones at 2.
+
+    Example:
+        >>> from dpdjax.surrogate.atlas import ranges
+        >>> ranges()["a r_c/kT"]
+        (0.0, 100.0)
+    """
     low, high = Table.shipped().bounds
     share = reduced.moment(reduced.QUADRATIC, 3) / reduced.moment(exponent, 3)
     factors = np.array([1.0, 1.0, share, 1.0])

@@ -41,11 +41,13 @@ class Branch:
     """A fluid that has what is wanted.
 
     Attributes:
-        gamma, exponent, repulsion: its numbers, in its units; of those found with the error that
-            the atlas leaves them.
+        gamma: its friction, in its units; where it was found with the error that the atlas leaves.
+        exponent: that of the weight of the friction, likewise.
+        repulsion: ``a``, likewise.
         density: beads per volume.
         fluid: it, for :func:`dpdjax.simulate`, :func:`dpdjax.calibrate`, ...
-        integrator, dt: that suit it.
+        integrator: that suits it.
+        dt: its step.
         properties: all that the atlas says of it, in its units.
         units: what these are in SI; None where nobody said.
     """
