@@ -123,13 +123,20 @@ class Search:
 
     @functools.cached_property
     def grid(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """Coordinates along each knob, and residuals at all their products (..., goals)."""
+        """Coordinates along each knob, and residuals at all their products (..., goals), NaN outside
+        of the atlas; ValueError where all are."""
         along = [np.linspace(a, b, POINTS[len(self.knobs)]) for a, b in self.bounds.T]
         places = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
         places = places.reshape(-1, len(along))
         found = self.residuals(places)
         if "exponent" in self.knobs and "gamma" not in self.knobs:
-            found[~self.is_inside(places)] = np.nan
+            is_inside = self.is_inside(places)
+            if not is_inside.any():
+                raise ValueError(
+                    f"outside of the atlas: {NAMES[2]} is {self.state[2]:.4g}, which it has at no "
+                    "exponent"
+                )
+            found[~is_inside] = np.nan
         return along, found.reshape(*map(len, along), -1)
 
     def roots(self) -> list[np.ndarray]:

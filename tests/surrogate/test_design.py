@@ -177,6 +177,8 @@ def test_what_is_found_with_an_exponent_is_inside(monkeypatch):
             for branch in found:
                 has_same = dpd.atlas(branch.fluid, 3.0).viscosity.value
                 assert has_same == pytest.approx(viscosity, rel=1e-5)
+    with pytest.raises(ValueError, match="which it has at no exponent"):
+        dpd.design(viscosity=3.0, gamma=1e5)
 
 
 def test_errors_of_gamma_and_exponent_together(monkeypatch):
