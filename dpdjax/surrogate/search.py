@@ -123,8 +123,8 @@ class Search:
 
     @functools.cached_property
     def grid(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """Coordinates along each knob, and residuals at all their products (..., goals), NaN outside
-        of the atlas; ValueError where all are."""
+        """Coordinates along each knob, and residuals at all their products (..., goals): NaN
+        outside of the atlas, and ValueError where all are."""
         along = [np.linspace(a, b, POINTS[len(self.knobs)]) for a, b in self.bounds.T]
         places = np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)
         places = places.reshape(-1, len(along))
@@ -159,8 +159,8 @@ class Search:
         return (up - down).T / (2 * step)
 
     def errors(self, x) -> np.ndarray:
-        """Of what is found at a root, in ln gamma, ln exponent and repulsion over ``SOFT`` and one,
-        as the knobs are in order, what the errors of the atlas leave (knobs,)."""
+        """Of what is found at a root what the errors of the atlas leave it (knobs,): of the
+        logarithms of gamma and exponent, and of that of a repulsion with ``SOFT`` added."""
         numbers = self.numbers(x)
         found = Table.shipped().at(numbers)
         own = np.array([found[name][1][0] for name in INDEPENDENT])

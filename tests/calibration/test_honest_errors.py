@@ -51,6 +51,7 @@ def measure(monkeypatch):
         return ensemble.stress.frames(plan.frames)
 
     def measured(seed, error, fluid=None):
+        fluid = fluid or SimpleNamespace(kT=1.0)
         flow = Flow.of(dpd.shear(0.25))
         goal = SimpleNamespace(name="viscosity", target=EXACT, scale=1.0, flow=flow)
         boxes = experiment.Ensemble(
