@@ -10,7 +10,7 @@ import jax
 from dpdjax.calibration import experiment, wishes
 from dpdjax.calibration.curve import Curve, Point, propose
 from dpdjax.calibration.gauges import Gauge, steps_of
-from dpdjax.calibration.goal import rough_viscosity
+from dpdjax.calibration.goal import likely_viscosity, rough_viscosity
 from dpdjax.calibration.joint import SIGMAS, JointCalibration, several
 from dpdjax.calibration.picture import draw_calibration
 from dpdjax.checks import positive, prng_key
@@ -391,8 +391,7 @@ def measure_viscosity(
     wishes.refuse_of_state({}, state, memory, density, box)
     density = _density(fluid, density, state)
     atlas = atlas and state is None
-    known = foretold(fluid, density, "viscosity") if atlas else None
-    rough = rough_viscosity(fluid, density) if known is None else known.value
+    rough = (likely_viscosity if atlas else rough_viscosity)(fluid, density)
     say = report or (lambda text: None)
     how = {"say": say, "state": state, "memory": memory}
     setup = wishes.Setup(density, tolerance, box, boxes, dt, integrator, rate, **how)

@@ -26,7 +26,7 @@ from dpdjax.engine.system import System
 from dpdjax.engine.trajectory import Plan
 from dpdjax.errors import RunError, warn
 from dpdjax.measure.molecules import molecules_of
-from dpdjax.measure.needs import HOT, WARM
+from dpdjax.measure.needs import FLUCTUATIONS, HOT, WARM, fluctuation
 from dpdjax.measure.statistics import Estimate, block_average, from_replicas
 from dpdjax.measure.viscosity import controlled
 from dpdjax.model.advice import suggest_dt, suggest_skin
@@ -376,17 +376,13 @@ def _tell_heat(ensemble, fluid, dt, temperature):
     )
 
 
-FLUCTUATIONS = 5.0
-"""Standard deviations of the temperature of the beads at one time that are no heat."""
-
-
 def _refuse_heat(ensemble, fluid, dt, temperature):
     """Raise where the flow, or too long a step, keeps the beads far from kT."""
     if math.isnan(temperature):
         return
     kT = float(fluid.kT)
     # A mean over a few beads and a short piece is off by chance.
-    chance = FLUCTUATIONS * math.sqrt(2.0 / (3.0 * ensemble.beads))
+    chance = FLUCTUATIONS * fluctuation(3 * ensemble.beads)
     if temperature > (1 + HOT + chance) * kT:
         raise RunError(
             f"the fluid runs at a temperature of {temperature:.3g} instead of kT = {kT:.3g}, with "

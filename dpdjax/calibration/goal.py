@@ -115,7 +115,8 @@ def rough_viscosity(fluid, density: float) -> float:
     return kinetic_theory_viscosity(fluid, density)
 
 
-def _about(fluid, density: float) -> float:
+def likely_viscosity(fluid, density: float) -> float:
+    """That of the atlas; :func:`rough_viscosity` of a fluid that it does not cover."""
     known = foretold(fluid, density, "viscosity")
     return rough_viscosity(fluid, density) if known is None else known.value
 
@@ -186,7 +187,7 @@ def suggest_rate(
         plain(tolerance, "tolerance", positive),
     )
     kT, omega = float(fluid.kT), damped(fluid, density)
-    viscosity = _about(fluid, density) if viscosity is None else viscosity
+    viscosity = likely_viscosity(fluid, density) if viscosity is None else viscosity
     kinetic = 0.5 * density * kT / omega
     share = min(1.0, max(kinetic / viscosity, 1.0 / 3.0))
     heating = min(0.5 * tolerance / share, 0.03)

@@ -55,24 +55,15 @@ def add(commands):
 
 
 def _calibrate(arguments):
-    import jax
-
     import dpdjax as dpd
 
     fit = dpd.calibrate(
         water(arguments, 4.5 if arguments.gamma is None else arguments.gamma),
         "gamma",
         viscosity=arguments.viscosity,
-        key=jax.random.key(arguments.seed),
-        density=arguments.density,
-        tolerance=arguments.tolerance,
         branch=arguments.branch,
         guess=arguments.gamma,
-        dt=arguments.dt,
-        rate=arguments.rate,
-        box=arguments.box,
-        integrator=integrator(arguments),
-        report=reporter(),
+        **_how(arguments),
     )
     result = {
         "gamma": fit.value,
@@ -80,12 +71,7 @@ def _calibrate(arguments):
         "target": fit.target,
         "viscosity": fit.measured.value,
         "viscosity_error": fit.measured.error,
-        "temperature": fit.temperature,
-        "dt": fit.dt,
-        "rate": fit.rate,
-        "seconds": round(fit.seconds, 1),
-        "compile_seconds": round(fit.compile_seconds, 1),
-        "particle_steps": fit.particle_steps,
+        **_ran(fit),
         "history": [
             {
                 "gamma": math.exp(p.x),
@@ -101,34 +87,39 @@ def _calibrate(arguments):
 
 
 def _viscosity(arguments):
-    import jax
-
     import dpdjax as dpd
 
-    measured = dpd.measure_viscosity(
-        water(arguments, arguments.gamma),
-        key=jax.random.key(arguments.seed),
-        density=arguments.density,
-        tolerance=arguments.tolerance,
-        dt=arguments.dt,
-        rate=arguments.rate,
-        box=arguments.box,
-        integrator=integrator(arguments),
-        report=reporter(),
-    )
+    measured = dpd.measure_viscosity(water(arguments, arguments.gamma), **_how(arguments))
     result = {
         "gamma": arguments.gamma,
         "gamma_error": 0.0,
         "viscosity": measured.estimate.value,
         "viscosity_error": measured.estimate.error,
-        "temperature": measured.temperature,
-        "dt": measured.dt,
-        "rate": measured.rate,
-        "seconds": round(measured.seconds, 1),
-        "compile_seconds": round(measured.compile_seconds, 1),
-        "particle_steps": measured.particle_steps,
+        **_ran(measured),
     }
     return result, lambda: measured.plot()
+
+
+def _how(arguments) -> dict:
+    """How boxes are sheared, as calibrations and measurements take it."""
+    import jax
+
+    names = ("density", "tolerance", "dt", "rate", "box")
+    given = {name: getattr(arguments, name) for name in names}
+    key = jax.random.key(arguments.seed)
+    return given | {"key": key, "integrator": integrator(arguments), "report": reporter()}
+
+
+def _ran(found) -> dict:
+    """How they were sheared, and what that cost."""
+    return {
+        "temperature": found.temperature,
+        "dt": found.dt,
+        "rate": found.rate,
+        "seconds": round(found.seconds, 1),
+        "compile_seconds": round(found.compile_seconds, 1),
+        "particle_steps": found.particle_steps,
+    }
 
 
 def _answer(result) -> str:

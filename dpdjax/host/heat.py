@@ -5,10 +5,8 @@ import numpy as np
 from dpdjax.engine.batching import each_fluid
 from dpdjax.engine.observables import temperature
 from dpdjax.errors import warn
-from dpdjax.measure.needs import HOT, doubt, is_off, trend
+from dpdjax.measure.needs import FLUCTUATIONS, HOT, doubt, fluctuation, is_off, trend
 
-FLUCTUATIONS = 5.0
-"""Standard deviations of the temperature of few beads that are no excess."""
 FEW = 20
 """Frames from which on a mean temperature is looked at."""
 
@@ -28,7 +26,7 @@ def warn_if_hot(trajectory):
     kT = np.broadcast_to(np.asarray(fluid.kT, float), last.shape)
     recorded = np.atleast_2d(np.asarray(trajectory.frames.get("temperature", np.nan), float))
     recorded = np.broadcast_to(recorded, (len(last), recorded.shape[1]))
-    allowed = 1.0 + HOT + FLUCTUATIONS * np.sqrt(2.0 / (3 * state.n - 3))
+    allowed = 1.0 + HOT + FLUCTUATIONS * fluctuation(3 * state.n - 3)
     chance = np.broadcast_to(doubt(trajectory, recorded.shape[1] // 2), last.shape)
     each = zip(last, kT, recorded, chance)
     told = [_told(*of, allowed, trajectory.flow) for of in each]

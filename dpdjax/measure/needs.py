@@ -20,6 +20,8 @@ HOT, WARM, OFF = 0.25, 0.05, 0.02
 average beyond doubt."""
 SURELY, FEWEST = 4.0, 8
 """Standard errors, of so many blocks, by which a temperature is off beyond doubt."""
+FLUCTUATIONS = 5.0
+"""Standard deviations of the temperature of few beads at one time that are no excess."""
 LIKELY = 3.0
 """Standard deviations by which a mean is off by chance at most."""
 
@@ -109,6 +111,11 @@ def is_off(temperatures, kT: float, chance: float = 0.0):
     return found.value if share > WARM or (share > OFF and surely) else None
 
 
+def fluctuation(motions: int) -> float:
+    """Standard deviation, over kT, of the kinetic temperature of so many motions at one time."""
+    return math.sqrt(2.0 / motions)
+
+
 def doubt(trajectory, frames: int):
     """Share of kT by which a mean of the kinetic temperature over so many frames is off by chance:
     few beads have energies that vary, and remember theirs as long as drag does. Of each member
@@ -117,7 +124,7 @@ def doubt(trajectory, frames: int):
     A short run seems to be steadily hot else: all its frames are of one moment.
     """
     of_bead = species_of(trajectory)
-    one = math.sqrt(2.0 / (3 * max(len(of_bead), 2) - 3))
+    one = fluctuation(3 * max(len(of_bead), 2) - 3)
     if getattr(trajectory, "every", None) is None:
         return one
     fluid = rates.extreme(trajectory.fluid)

@@ -186,7 +186,7 @@ class Table:
         }
         return cls(states_of(rows), **made, provenance=provenance)
 
-    @property
+    @functools.cached_property
     def bounds(self) -> np.ndarray:
         """Smallest and largest densities, repulsions, strengths and exponents (2, 4)."""
         states = self.states.copy()

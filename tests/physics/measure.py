@@ -326,8 +326,8 @@ def slope_water():
 
 
 def diffusion_tangents(matter, dt, duration, windows, side=6.0, count=8, seed=25, frames=12):
-    """``<v(0) (r(t) - r(0))>/3``, which grows to the diffusion, and its slope in gamma: times
-    (frames,), and both of each window of each box (windows, frames)."""
+    """The slope in gamma of ``<v(0) (r(t) - r(0))>/3``, which grows to the diffusion: times
+    (frames,), and slopes of each window of each box (windows, frames)."""
     state, keys = boxes(matter, side, count, dt, seed)
     plan = dpd.Plan(frames, round(duration / dt / frames))
 
@@ -341,16 +341,16 @@ def diffusion_tangents(matter, dt, duration, windows, side=6.0, count=8, seed=25
             way = ran.frames["unwrapped"] - first["unwrapped"]
             return jnp.mean(jnp.sum(way * first["velocity"], axis=-1), axis=-1) / 3, ran.final
 
-        return jax.jvp(grown, (matter.value("gamma"),), (1.0,), has_aux=True)
+        _, slope, final = jax.jvp(grown, (matter.value("gamma"),), (1.0,), has_aux=True)
+        return slope, final
 
-    found = []
+    slopes = []
     for k in range(count):
         here = jax.tree.map(lambda leaf: leaf[k], state)
         for w in range(windows):
-            value, slope, here = window(here, jax.random.fold_in(keys[k], w))
-            found.append((value, slope))
-    values, slopes = np.moveaxis(np.array(found, float), 1, 0)
-    return dt * plan.every * np.arange(1, frames + 1), values, slopes
+            slope, here = window(here, jax.random.fold_in(keys[k], w))
+            slopes.append(slope)
+    return dt * plan.every * np.arange(1, frames + 1), np.array(slopes, float)
 
 
 def slope_diffusion():
@@ -363,7 +363,7 @@ def slope_diffusion():
     rows = []
     for matter, dt, at, near in ((IDEAL, 0.01, 1.5, (4.0, 6.0)), (WATER, 0.01, 0.8, (3.5, 5.5))):
         a, gamma = float(matter.value("a")), float(matter.value("gamma"))
-        times, _, slopes = diffusion_tangents(matter, dt, 1.5 * at, 40)
+        times, slopes = diffusion_tangents(matter, dt, 1.5 * at, 40)
         each = [from_replicas(c.reshape(64, -1).mean(axis=1)) for c in slopes.T]
         low, high = (diffused(fluid(a, g), dt, 30 + k) for k, g in enumerate(near))
         chord = Estimate(high.value - low.value, math.hypot(high.error, low.error))
