@@ -305,13 +305,10 @@ def _unreached(search: Search, thermal: Units, units: Units | None, find_time: b
     told = []
     for name, (low, high, with_others) in search.reach().items():
         low, high = low * scale(name), high * scale(name)
-        is_point = high < 1.05 * low
-        ends = (
-            f"is near {math.sqrt(low * high):.3g}"
-            if is_point
-            else f"goes from {low:.4g} to {high:.4g}"
-        )
-        told.append(f"{name} {ends}{' where the rest is as wanted' if with_others else ''}")
+        near, far = f"is near {math.sqrt(low * high):.3g}", f"goes from {low:.4g} to {high:.4g}"
+        # Of a grid of cells, so that a wanted number may lie between the ends and not be there.
+        where = " about where the rest is as wanted" if with_others else ""
+        told.append(f"{name} {near if high < 1.05 * low else far}{where}")
     others = [name for name in KNOBS if name not in search.knobs]
     if units is not None and not find_time and {"viscosity", "diffusion"} <= set(search.goals):
         others.append("find_time=True, which leaves the unit of time open,")
