@@ -62,7 +62,7 @@ def _draw_curves(found, axes):
 
 
 def draw_corner(found):
-    """Histograms of each parameter, and of each two; those of the diagonal with the prior."""
+    """Histograms of each parameter, and of each two; returns the axes (names, names)."""
     names = found.question.names
     draws = {name: np.exp(z).ravel() for name, z in found.draws.items()}
     size = 1.0 + 1.9 * len(names)
